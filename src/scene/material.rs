@@ -1,0 +1,87 @@
+//! Surface materials.
+
+use crate::color::{self, Rgb};
+
+/// How a surface reflects, transmits and emits. All albedos are products of the paper's
+/// `k` and `rho` (DESIGN section 2) and sum to at most 1 in each channel.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Material {
+    /// Name in the MTL or the scene file.
+    pub name: String,
+    /// Diffuse albedo, [0, 1].
+    pub diffuse: Rgb,
+    /// Diffuse transmittance (translucency), [0, 1].
+    pub diffuse_transmission: Rgb,
+    /// Albedo of the specular lobe, [0, 1].
+    pub specular: Rgb,
+    /// Perceptual roughness, [0, 1]; 0 is a perfect mirror.
+    pub roughness: f64,
+    /// Specular transmittance of smooth glass, [0, 1]; zero: opaque.
+    pub specular_transmission: Rgb,
+    /// Index of refraction inside, relative to outside.
+    pub ior: f64,
+    /// Emitted radiance [W m^-2 sr^-1], from the front.
+    pub emission: Rgb,
+    /// Emit from the back too.
+    pub emit_both_sides: bool,
+    /// Reflect on both sides; a one-sided surface is black on its back.
+    pub two_sided: bool,
+}
+
+impl Material {
+    /// A black, two-sided material.
+    pub fn new(name: impl Into<String>) -> Material {
+        Material {
+            name: name.into(),
+            diffuse: Rgb::ZERO,
+            diffuse_transmission: Rgb::ZERO,
+            specular: Rgb::ZERO,
+            roughness: 0.0,
+            specular_transmission: Rgb::ZERO,
+            ior: 1.5,
+            emission: Rgb::ZERO,
+            emit_both_sides: false,
+            two_sided: true,
+        }
+    }
+
+    /// GGX width: roughness squared.
+    pub fn alpha(&self) -> f64 {
+        self.roughness * self.roughness
+    }
+
+    /// Reflects or transmits diffusely, so pass 1 gathers at it.
+    pub fn is_diffuse(&self) -> bool {
+        self.diffuse != Rgb::ZERO || self.is_translucent()
+    }
+
+    /// Couples its two sides by diffuse transmission.
+    pub fn is_translucent(&self) -> bool {
+        self.diffuse_transmission != Rgb::ZERO
+    }
+
+    /// Reflects or refracts specularly, so chains go on at it.
+    pub fn is_specular(&self) -> bool {
+        self.specular != Rgb::ZERO || self.is_glass()
+    }
+
+    /// Refracts.
+    pub fn is_glass(&self) -> bool {
+        self.specular_transmission != Rgb::ZERO
+    }
+
+    /// Emits light.
+    pub fn is_emitter(&self) -> bool {
+        self.emission != Rgb::ZERO
+    }
+
+    /// Radiance emitted from the front (`true`) or the back.
+    pub fn emitted(&self, front: bool) -> Rgb {
+        if front || self.emit_both_sides { self.emission } else { Rgb::ZERO }
+    }
+
+    /// Whether chains through this material keep one weight for all channels.
+    pub fn has_grey_specular(&self) -> bool {
+        color::is_grey(self.specular) && color::is_grey(self.specular_transmission)
+    }
+}
