@@ -45,6 +45,26 @@ impl Material {
         }
     }
 
+    /// What a surface gets whose material is defined nowhere: diffuse, 50 % grey.
+    pub fn grey(name: impl Into<String>) -> Material {
+        Material { diffuse: Rgb::splat(0.5), ..Material::new(name) }
+    }
+
+    /// Scales the four albedos down, all alike, where they would reflect and transmit more than
+    /// arrives in some channel. Returns the largest sum before, if it was above 1.
+    pub fn conserve_energy(&mut self) -> Option<f64> {
+        let sum = self.diffuse + self.diffuse_transmission + self.specular + self.specular_transmission;
+        let sum = sum.max_element();
+        if sum <= 1.0 + 1e-9 {
+            return None;
+        }
+        self.diffuse /= sum;
+        self.diffuse_transmission /= sum;
+        self.specular /= sum;
+        self.specular_transmission /= sum;
+        Some(sum)
+    }
+
     /// GGX width: roughness squared.
     pub fn alpha(&self) -> f64 {
         self.roughness * self.roughness

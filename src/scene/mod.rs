@@ -5,9 +5,14 @@
 //! precisely as the same room at the origin.
 
 mod camera;
+mod document;
+mod faces;
 mod load;
 mod material;
+mod mtl;
 mod obj;
+mod obj_text;
+mod polygon;
 
 pub use camera::{Camera, CameraFrame};
 pub use load::load;

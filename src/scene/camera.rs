@@ -1,0 +1,132 @@
+//! Pinhole cameras.
+
+use super::Scene;
+use super::document::{Section, nearest};
+use crate::error::{Error, Result};
+use glam::DVec3;
+
+/// Largest width or height of an image [pixels].
+const MAX_SIZE: u32 = 65_536;
+
+const KEYS: [&str; 6] = ["name", "origin", "target", "up", "fov", "size"];
+
+/// A pinhole camera as the scene file states it, validated.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Camera {
+    /// Name for `--camera`.
+    pub name: String,
+    /// Where the eye is, in the scene file's coordinates and units.
+    pub origin: DVec3,
+    /// What the middle of the image shows, in the scene file's coordinates and units.
+    pub target: DVec3,
+    /// Which way is up in the image; neither zero nor along the view.
+    pub up: DVec3,
+    /// Vertical field of view [degrees], within (0, 180).
+    pub fov: f64,
+    /// Width and height [pixels], at least 1.
+    pub size: [u32; 2],
+}
+
+/// A camera placed in a scene: turns image coordinates into view rays.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CameraFrame {
+    origin: DVec3,
+    forward: DVec3,
+    /// A pixel's step to the right, on the plane one metre ahead.
+    right: DVec3,
+    /// A pixel's step down, on the same plane.
+    down: DVec3,
+    half: [f64; 2],
+}
+
+impl Camera {
+    /// Reads `[camera]`; `index` (from 0) names a camera that has no name when there are several.
+    pub(super) fn read(
+        mut section: Section<'_>,
+        index: Option<usize>,
+        warnings: &mut Vec<String>,
+    ) -> Result<Camera> {
+        let name = match section.get("name") {
+            Some(entry) => entry.text()?.to_string(),
+            None => index.map_or("camera".into(), |i| (i + 1).to_string()),
+        };
+        section.label = format!("camera \"{name}\"");
+        section.warn_unknown(&KEYS, warnings);
+        let required = |key: &str| {
+            let missing = || section.error(format!("has no {key}; add {key} = [x, y, z]"));
+            section.get(key).ok_or_else(missing)?.vector()
+        };
+        let camera = Camera {
+            origin: required("origin")?,
+            target: required("target")?,
+            up: section.get("up").map_or(Ok(DVec3::Y), |e| e.vector())?,
+            fov: section.get("fov").map_or(Ok(45.0), |e| match e.number()? {
+                fov if fov > 0.0 && fov < 180.0 => Ok(fov),
+                fov => Err(e.error(format!("must lie between 0 and 180 degrees, is {fov}"))),
+            })?,
+            size: section.get("size").map_or(Ok([512, 512]), |e| e.size(MAX_SIZE))?,
+            name,
+        };
+        let view = (camera.target - camera.origin).try_normalize();
+        let view = view.ok_or_else(|| section.error("origin and target are the same point"))?;
+        let up = camera.up.try_normalize();
+        let up = up.ok_or_else(|| section.error("up must not be zero"))?;
+        if view.cross(up).length() < 1e-6 {
+            return Err(section.error("looks along its up vector; choose another up"));
+        }
+        Ok(camera)
+    }
+
+    /// Places the camera in the scene's metres.
+    pub fn frame(&self, scene: &Scene) -> CameraFrame {
+        let forward = (self.target - self.origin).normalize_or(DVec3::NEG_Z);
+        let right = forward.cross(self.up.normalize_or(DVec3::Y)).normalize_or(DVec3::X);
+        let [width, height] = self.size.map(f64::from);
+        let pixel = 2.0 * (0.5 * self.fov.to_radians()).tan() / height;
+        CameraFrame {
+            origin: self.origin * scene.unit - scene.center,
+            forward,
+            right: right * pixel,
+            down: forward.cross(right) * pixel,
+            half: [0.5 * width, 0.5 * height],
+        }
+    }
+}
+
+impl CameraFrame {
+    /// The eye [m], relative to the scene's centre.
+    pub fn origin(&self) -> DVec3 {
+        self.origin
+    }
+
+    /// Unit direction through continuous pixel coordinates: x to the right, y down, pixel (0, 0)
+    /// covers [0, 1)^2 in the image's top left corner.
+    pub fn direction(&self, x: f64, y: f64) -> DVec3 {
+        let on_plane = self.forward + (x - self.half[0]) * self.right + (y - self.half[1]) * self.down;
+        on_plane.normalize()
+    }
+}
+
+impl Scene {
+    /// The camera of that name, or the first.
+    ///
+    /// # Errors
+    /// The scene has no camera, or none of that name.
+    pub fn camera(&self, name: Option<&str>) -> Result<&Camera> {
+        let what = || format!("scene {}", self.path.display());
+        let Some(first) = self.cameras.first() else {
+            let help = "has no camera; add to a scene file: [camera] with origin, target, up, fov and size";
+            return Err(Error::scene(what(), help));
+        };
+        let Some(name) = name else { return Ok(first) };
+        self.cameras.iter().find(|c| c.name == name).ok_or_else(|| {
+            let names: Vec<_> = self.cameras.iter().map(|c| c.name.as_str()).collect();
+            let hint = match nearest(name, names.iter().copied()) {
+                Some(near) => format!("did you mean \"{near}\"? "),
+                None => String::new(),
+            };
+            let message = format!("has no camera \"{name}\"; {hint}it has: {}", names.join(", "));
+            Error::scene(what(), message)
+        })
+    }
+}

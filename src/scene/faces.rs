@@ -1,0 +1,283 @@
+//! From polygons in file units to the faces of a scene.
+
+use super::obj::{ObjFile, Polygon};
+use super::{Face, polygon};
+use crate::error::{Error, Result};
+use glam::DVec3;
+use std::collections::{HashMap, HashSet};
+
+/// Shading normals within this of the geometric normal say nothing new.
+const FLAT_TOLERANCE: f64 = 1e-6;
+
+/// How the objects and materials of one file are numbered in the scene.
+#[derive(Debug, Default)]
+pub(super) struct Numbering {
+    /// Scene object of each of the file's objects.
+    pub objects: Vec<u32>,
+    /// Scene material of each of the file's materials.
+    pub materials: Vec<u32>,
+    /// Scene material of the faces without one.
+    pub no_material: u32,
+}
+
+/// The geometry of a scene.
+#[derive(Debug, Default)]
+pub(super) struct Geometry {
+    pub vertices: Vec<DVec3>,
+    pub normals: Vec<DVec3>,
+    pub faces: Vec<Face>,
+    pub triangle_count: usize,
+    pub polygon_count: usize,
+    pub center: DVec3,
+    pub radius: f64,
+    pub warnings: Vec<String>,
+}
+
+/// Splits the polygons of `files`, numbered in the scene by `numbering`, and moves them to the
+/// centre of their bounding box.
+///
+/// # Errors
+/// No polygon has an area, or there are more vertices than 32 bits can number.
+pub(super) fn build(files: &[ObjFile], numbering: &[Numbering], unit: f64) -> Result<Geometry> {
+    let mut builder = Builder { unit, ..Builder::default() };
+    for (file, numbers) in files.iter().zip(numbering) {
+        builder.normal_numbers.clear();
+        for polygon in &file.polygons {
+            builder.add(file, numbers, polygon)?;
+        }
+    }
+    builder.finish(files)
+}
+
+/// How often something happened, to which objects, and where first.
+#[derive(Debug, Default)]
+struct Tally {
+    objects: Vec<(String, usize)>,
+    first: String,
+}
+
+impl Tally {
+    fn add(&mut self, file: &ObjFile, polygon: &Polygon) {
+        let name = &file.objects[polygon.object as usize];
+        if self.objects.is_empty() {
+            self.first = format!("{}:{}", file.path.display(), polygon.line);
+        }
+        match self.objects.iter_mut().find(|(n, _)| n == name) {
+            Some((_, count)) => *count += 1,
+            None => self.objects.push((name.clone(), 1)),
+        }
+    }
+
+    /// `{first}: {n} faces {what} (object "a": 2, object "b": 1)`.
+    fn warning(&self, what: &str) -> Option<String> {
+        let total: usize = self.objects.iter().map(|(_, n)| n).sum();
+        let mut parts: Vec<_> =
+            self.objects.iter().take(5).map(|(o, n)| format!("object \"{o}\": {n}")).collect();
+        if self.objects.len() > parts.len() {
+            parts.push("...".into());
+        }
+        let faces = if total == 1 { "face" } else { "faces" };
+        (total > 0).then(|| format!("{}: {total} {faces} {what} ({})", self.first, parts.join(", ")))
+    }
+}
+
+#[derive(Default)]
+struct Builder {
+    unit: f64,
+    /// Distinct points in metres.
+    points: Vec<DVec3>,
+    point_numbers: HashMap<[u64; 3], u32>,
+    normals: Vec<DVec3>,
+    /// Scene normal of a file's normal.
+    normal_numbers: HashMap<u32, u32>,
+    faces: Vec<Face>,
+    polygon_count: u32,
+    seen_polygons: HashSet<Vec<u32>>,
+    seen_faces: HashSet<[u32; 4]>,
+    no_area: Tally,
+    duplicates: Tally,
+    bent: Tally,
+    crossed: Tally,
+    zero_normals: Tally,
+    averted_normals: Tally,
+}
+
+impl Builder {
+    fn add(&mut self, file: &ObjFile, numbers: &Numbering, polygon: &Polygon) -> Result<()> {
+        // Equal points become one vertex, whatever indices the file gave them. A corner that
+        // repeats the one before it adds nothing.
+        let mut vertices: Vec<u32> = Vec::with_capacity(polygon.corners.len());
+        let mut kept = Vec::with_capacity(polygon.corners.len());
+        for (k, &corner) in polygon.corners.iter().enumerate() {
+            let vertex = self.vertex(file, corner)?;
+            if vertices.last() != Some(&vertex) {
+                vertices.push(vertex);
+                kept.push(k);
+            }
+        }
+        while vertices.len() > 1 && vertices.first() == vertices.last() {
+            vertices.pop();
+        }
+        let points: Vec<_> = vertices.iter().map(|&v| self.points[v as usize]).collect();
+        let split = polygon::split(&points);
+        if split.faces.is_empty() {
+            self.no_area.add(file, polygon);
+            return Ok(());
+        }
+        let mut sorted = vertices.clone();
+        sorted.sort_unstable();
+        if !self.seen_polygons.insert(sorted) {
+            self.duplicates.add(file, polygon);
+            return Ok(());
+        }
+        if split.bent {
+            self.bent.add(file, polygon);
+        }
+        if split.crossed {
+            self.crossed.add(file, polygon);
+        }
+        let shading = self.shading(file, polygon, &kept);
+        let before = self.faces.len();
+        for corners in split.faces {
+            let face_vertices = corners.map(|c| vertices[c]);
+            let mut key = face_vertices;
+            key.sort_unstable();
+            if self.seen_faces.insert(key) {
+                let normals = shading.as_ref().map(|s| corners.map(|c| s[c]));
+                self.face(file, numbers, polygon, face_vertices, normals);
+            } else {
+                self.duplicates.add(file, polygon);
+            }
+        }
+        self.polygon_count += u32::from(self.faces.len() > before);
+        Ok(())
+    }
+
+    fn vertex(&mut self, file: &ObjFile, corner: u32) -> Result<u32> {
+        // Adding zero makes -0 and 0 one point.
+        let point = file.positions[corner as usize] * self.unit + DVec3::ZERO;
+        let next = u32::try_from(self.points.len());
+        let next = next.map_err(|_| Error::parse(&file.path, None, "more than 4294967295 vertices"))?;
+        let number = *self.point_numbers.entry(point.to_array().map(f64::to_bits)).or_insert(next);
+        if number == next {
+            self.points.push(point);
+        }
+        Ok(number)
+    }
+
+    /// Scene normals of a polygon's corners, where it has usable ones.
+    fn shading(&mut self, file: &ObjFile, polygon: &Polygon, kept: &[usize]) -> Option<Vec<u32>> {
+        let normals = polygon.normals.as_ref()?;
+        let mut shading = Vec::with_capacity(kept.len());
+        for &corner in kept {
+            let number = normals[corner];
+            let Some(unit) = file.normals[number as usize].try_normalize() else {
+                self.zero_normals.add(file, polygon);
+                return None;
+            };
+            shading.push(*self.normal_numbers.entry(number).or_insert_with(|| {
+                self.normals.push(unit);
+                (self.normals.len() - 1) as u32
+            }));
+        }
+        Some(shading)
+    }
+
+    fn face(
+        &mut self,
+        file: &ObjFile,
+        numbers: &Numbering,
+        polygon: &Polygon,
+        vertices: [u32; 4],
+        normals: Option<[u32; 4]>,
+    ) {
+        let mut face = Face {
+            vertices,
+            normals,
+            object: numbers.objects[polygon.object as usize],
+            material: polygon.material.map_or(numbers.no_material, |m| numbers.materials[m as usize]),
+            polygon: self.polygon_count,
+            normal: DVec3::ZERO,
+            area: 0.0,
+        };
+        measure(&mut face, &self.points);
+        if let Some(normals) = normals {
+            let normals = normals.map(|n| self.normals[n as usize]);
+            if normals.iter().any(|n| n.dot(face.normal) <= 0.0) {
+                self.averted_normals.add(file, polygon);
+                face.normals = None;
+            } else if normals.iter().all(|n| n.distance(face.normal) <= FLAT_TOLERANCE) {
+                face.normals = None;
+            }
+        }
+        self.faces.push(face);
+    }
+
+    fn finish(mut self, files: &[ObjFile]) -> Result<Geometry> {
+        let tallies = [
+            (&self.no_area, "of zero area dropped"),
+            (&self.duplicates, "dropped that repeat an earlier face"),
+            (&self.bent, "far from planar; split from the first corner where that is possible"),
+            (&self.crossed, "whose edges cross; the split may cover parts twice or not at all"),
+            (&self.zero_normals, "shaded flat for lack of a shading normal's direction"),
+            (&self.averted_normals, "shaded flat because a shading normal points away from the front"),
+        ];
+        let warnings = tallies.iter().filter_map(|(tally, what)| tally.warning(what)).collect();
+        if self.faces.is_empty() {
+            let path = files.first().map(|f| f.path.clone()).unwrap_or_default();
+            return Err(match files.iter().all(|f| f.polygons.is_empty()) {
+                true => Error::parse(path, None, "no faces"),
+                false => Error::parse(path, None, "no faces: none of them has an area"),
+            });
+        }
+        self.faces.sort_by_key(|f| !f.is_triangle());
+
+        let mut vertices = Compacted::default();
+        let mut normals = Compacted::default();
+        for face in &mut self.faces {
+            face.vertices = face.vertices.map(|v| vertices.number(v, &self.points));
+            face.normals = face.normals.map(|n| n.map(|n| normals.number(n, &self.normals)));
+        }
+        let mut vertices = vertices.values;
+        let low = vertices.iter().copied().fold(DVec3::INFINITY, DVec3::min);
+        let high = vertices.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
+        let center = 0.5 * low + 0.5 * high;
+        vertices.iter_mut().for_each(|v| *v -= center);
+        self.faces.iter_mut().for_each(|face| measure(face, &vertices));
+        Ok(Geometry {
+            triangle_count: self.faces.iter().filter(|f| f.is_triangle()).count(),
+            polygon_count: self.polygon_count as usize,
+            radius: 0.5 * (high - low).length(),
+            center,
+            vertices,
+            normals: normals.values,
+            faces: self.faces,
+            warnings,
+        })
+    }
+}
+
+/// The values that are used, in the order of first use.
+#[derive(Default)]
+struct Compacted {
+    values: Vec<DVec3>,
+    numbers: HashMap<u32, u32>,
+}
+
+impl Compacted {
+    fn number(&mut self, old: u32, values: &[DVec3]) -> u32 {
+        *self.numbers.entry(old).or_insert_with(|| {
+            self.values.push(values[old as usize]);
+            (self.values.len() - 1) as u32
+        })
+    }
+}
+
+/// Sets area and normal of a face from its vertices.
+fn measure(face: &mut Face, points: &[DVec3]) {
+    let corners = face.vertices.map(|v| points[v as usize]);
+    let corners = if face.is_triangle() { &corners[..3] } else { &corners[..] };
+    let area = polygon::area_vector(corners);
+    face.area = area.length();
+    face.normal = area.normalize_or_zero();
+}

@@ -1,0 +1,225 @@
+//! Wavefront MTL files.
+//!
+//! As with OBJ, each line is judged here, where its number is known, and `tobj` reads the rewritten
+//! rest: left to itself it panics on a colour of fewer than three values.
+
+use super::document::nearest;
+use super::material::Material;
+use crate::color::Rgb;
+use crate::error::{Error, Result};
+use std::path::Path;
+
+/// Index of refraction of glass whose MTL states none.
+const GLASS_IOR: f64 = 1.5;
+
+const COLORS: [&str; 5] = ["Ka", "Kd", "Ks", "Ke", "Tf"];
+const SCALARS: [&str; 6] = ["Ns", "Ni", "d", "Tr", "Pr", "illum"];
+/// Parts of the physically based extension that the renderer does not model.
+const NOT_MODELLED: [&str; 6] = ["Pm", "Ps", "Pc", "Pcr", "aniso", "anisor"];
+const TEXTURES: [&str; 5] = ["norm", "bump", "disp", "decal", "refl"];
+
+/// Reads an MTL file: its materials, not yet scaled to conserve energy, and what the user should
+/// know.
+///
+/// # Errors
+/// The file cannot be read, or a value is malformed or out of range; the error names the line.
+pub(super) fn read(path: &Path) -> Result<(Vec<Material>, Vec<String>)> {
+    let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
+    parse(path, &String::from_utf8_lossy(&bytes))
+}
+
+/// Reads MTL text; see [`read`].
+pub(super) fn parse(path: &Path, text: &str) -> Result<(Vec<Material>, Vec<String>)> {
+    let mut scan = Scan {
+        path,
+        line: 0,
+        canonical: String::new(),
+        names: Vec::new(),
+        said: Vec::new(),
+        warnings: Vec::new(),
+    };
+    for (index, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
+        scan.line = index + 1;
+        scan.statement(line)?;
+    }
+    let loaded = tobj::load_mtl_buf(&mut scan.canonical.as_bytes());
+    let (materials, _) = loaded.map_err(|e| Error::parse(path, None, e.to_string()))?;
+    Ok((materials.iter().map(convert).collect(), scan.warnings))
+}
+
+struct Scan<'a> {
+    path: &'a Path,
+    line: usize,
+    /// What `tobj` gets to read.
+    canonical: String,
+    names: Vec<String>,
+    /// Keys that were warned about.
+    said: Vec<String>,
+    warnings: Vec<String>,
+}
+
+impl Scan<'_> {
+    fn error(&self, message: impl std::fmt::Display) -> Error {
+        let material = self.names.last().map(|n| format!("material \"{n}\": ")).unwrap_or_default();
+        Error::parse(self.path, Some(self.line), format!("{material}{message}"))
+    }
+
+    fn warn(&mut self, message: impl std::fmt::Display) {
+        self.warnings.push(self.error(message).to_string());
+    }
+
+    /// Warns about a key, but not a second time.
+    fn warn_once(&mut self, key: &str, message: String) {
+        if !self.said.iter().any(|k| k == key) {
+            self.said.push(key.to_string());
+            self.warn(message);
+        }
+    }
+
+    fn statement(&mut self, line: &str) -> Result<()> {
+        let line = without_comment(line);
+        let (key, rest) = line.split_once(char::is_whitespace).unwrap_or((line, ""));
+        let rest = rest.trim();
+        if key.is_empty() {
+            return Ok(());
+        }
+        if key == "newmtl" {
+            return self.start(rest);
+        }
+        if self.names.is_empty() {
+            return Err(self.error(format!("{key} before any newmtl")));
+        }
+        if COLORS.contains(&key) {
+            let [r, g, b] = self.color(key, rest)?;
+            self.canonical.push_str(&format!("{key} {r:e} {g:e} {b:e}\n"));
+        } else if SCALARS.contains(&key) {
+            let value = self.scalar(key, rest)?;
+            self.canonical.push_str(&format!("{key} {value}\n"));
+        } else if NOT_MODELLED.contains(&key) {
+            if self.number(key, rest)? != 0.0 {
+                self.warn_once(key, format!("{key} is not modelled and was ignored"));
+            }
+        } else if key == "map_Kd" {
+            self.warn("textures are not modelled: Kd is used in place of map_Kd");
+        } else if key.starts_with("map_") || TEXTURES.contains(&key) {
+            self.warn_once(key, format!("textures are not modelled: {key} was ignored"));
+        } else if key != "sharpness" {
+            let known = COLORS.into_iter().chain(SCALARS).chain(["map_Kd", "newmtl"]);
+            let hint = nearest(key, known).map(|k| format!("; did you mean {k}?")).unwrap_or_default();
+            self.warn_once(key, format!("unknown key \"{key}\" was ignored{hint}"));
+        }
+        Ok(())
+    }
+
+    fn start(&mut self, name: &str) -> Result<()> {
+        if name.is_empty() {
+            return Err(Error::parse(self.path, Some(self.line), "newmtl without a name"));
+        }
+        let again = self.names.iter().any(|n| n == name);
+        self.names.push(name.to_string());
+        if again {
+            self.warn("is defined again; the last definition counts");
+        }
+        self.canonical.push_str(&format!("newmtl {name}\n"));
+        Ok(())
+    }
+
+    fn number(&self, key: &str, word: &str) -> Result<f64> {
+        match word.parse::<f64>() {
+            Ok(n) if n.is_finite() => Ok(n),
+            Ok(_) => Err(self.error(format!("{key} must be finite, is {word}"))),
+            Err(_) if word.is_empty() => Err(self.error(format!("{key} has no value"))),
+            Err(_) => Err(self.error(format!("{key}: \"{word}\" is not a number"))),
+        }
+    }
+
+    fn color(&self, key: &str, rest: &str) -> Result<[f64; 3]> {
+        let words: Vec<_> = rest.split_whitespace().collect();
+        if let Some(kind) = words.first().filter(|w| matches!(**w, "spectral" | "xyz")) {
+            return Err(self.error(format!("{key} {kind} is not supported; give red, green and blue")));
+        }
+        let values = words.iter().map(|w| self.number(key, w)).collect::<Result<Vec<_>>>()?;
+        if let Some(v) = values.iter().find(|v| **v < 0.0) {
+            return Err(self.error(format!("{key} must not be negative, is {v}")));
+        }
+        match values[..] {
+            // The format lets one value stand for all three.
+            [all] => Ok([all; 3]),
+            [r, g, b] => Ok([r, g, b]),
+            _ => Err(self.error(format!("{key} needs 3 numbers, found {}", values.len()))),
+        }
+    }
+
+    /// The value as `tobj` and [`convert`] will parse it.
+    fn scalar(&self, key: &str, rest: &str) -> Result<String> {
+        let word = rest.strip_prefix("-halo").unwrap_or(rest).split_whitespace().next().unwrap_or("");
+        let value = self.number(key, word)?;
+        let (low, high) = match key {
+            "d" | "Tr" | "Pr" => (0.0, 1.0),
+            "illum" => (0.0, 10.0),
+            _ => (0.0, f64::MAX),
+        };
+        if !(low..=high).contains(&value) {
+            let range = if high == f64::MAX {
+                "not be negative".into()
+            } else {
+                format!("lie within [{low}, {high}]")
+            };
+            return Err(self.error(format!("{key} must {range}, is {word}")));
+        }
+        if key == "illum" {
+            return match value.fract() {
+                0.0 => Ok(format!("{value:.0}")),
+                _ => Err(self.error(format!("illum must be a whole number, is {word}"))),
+            };
+        }
+        Ok(format!("{value:e}"))
+    }
+}
+
+/// Our material from MTL's. Values are in range.
+fn convert(mtl: &tobj::Material) -> Material {
+    let extra = |key: &str| mtl.unknown_param.get(key).map(String::as_str);
+    let number = |key: &str| extra(key).and_then(|v| v.parse::<f64>().ok());
+    let color = |c: Option<[f64; 3]>| c.map_or(Rgb::ZERO, Rgb::from_array);
+
+    let mut material = Material::new(&mtl.name);
+    material.diffuse = color(mtl.diffuse);
+    material.emission = color(mtl.emissive);
+    let illum = mtl.illumination_model.unwrap_or(2);
+    // Models 0 and 1 have no specular term. Glass needs none: Fresnel's equations split the
+    // transmittance into what is refracted and what is reflected.
+    let is_glass = matches!(illum, 4 | 6 | 7 | 9);
+    if illum > 1 && !is_glass {
+        material.specular = color(mtl.specular);
+    }
+    material.roughness = match number("Pr") {
+        Some(roughness) => roughness,
+        // Without a lobe there is nothing to be rough.
+        None if matches!(illum, 3 | 5 | 8) || material.specular == Rgb::ZERO => 0.0,
+        None => (2.0 / (mtl.shininess.unwrap_or(0.0) + 2.0)).powf(0.25),
+    };
+    let opaque = mtl.dissolve.or(number("Tr").map(|t| 1.0 - t)).unwrap_or(1.0);
+    if is_glass {
+        let filter = extra("Tf").and_then(|v| {
+            let v: Vec<f64> = v.split_whitespace().filter_map(|w| w.parse().ok()).collect();
+            <[f64; 3]>::try_from(v).ok()
+        });
+        material.specular_transmission = filter.map_or(Rgb::ONE, Rgb::from_array);
+        material.ior = mtl.optical_density.filter(|&ior| ior >= 1e-3).unwrap_or(GLASS_IOR);
+    } else if opaque < 1.0 {
+        // A surface that is partly there: the rest lets light pass straight on.
+        material.diffuse *= opaque;
+        material.specular *= opaque;
+        material.specular_transmission = Rgb::splat(1.0 - opaque);
+        material.ior = 1.0;
+    }
+    material
+}
+
+/// A comment starts the line or follows white space: names may hold a `#`.
+fn without_comment(line: &str) -> &str {
+    let line = line.trim();
+    let starts = |&(at, _): &(usize, &str)| line[..at].chars().next_back().is_none_or(char::is_whitespace);
+    line.match_indices('#').find(starts).map_or(line, |(at, _)| line[..at].trim_end())
+}
