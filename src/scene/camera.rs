@@ -130,3 +130,45 @@ impl Scene {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::dvec3;
+
+    fn scene() -> Scene {
+        let file = tempfile::Builder::new().suffix(".obj").tempfile().unwrap();
+        std::fs::write(file.path(), "v 10 0 0\nv 12 0 0\nv 12 2 0\nv 10 2 0\nf 1 2 3 4\n").unwrap();
+        super::super::load(file.path()).unwrap()
+    }
+
+    fn camera(fov: f64, size: [u32; 2]) -> Camera {
+        let (origin, target) = (dvec3(11.0, 1.0, 5.0), dvec3(11.0, 1.0, 0.0));
+        Camera { name: "c".into(), origin, target, up: dvec3(0.0, 2.0, 0.5), fov, size }
+    }
+
+    #[test]
+    fn the_middle_of_the_image_shows_the_target() {
+        let frame = camera(60.0, [640, 480]).frame(&scene());
+        assert_eq!(frame.origin(), dvec3(0.0, 0.0, 5.0));
+        assert!(frame.direction(320.0, 240.0).distance(DVec3::NEG_Z) < 1e-15);
+    }
+
+    #[test]
+    fn image_axes_and_field_of_view() {
+        let frame = camera(90.0, [200, 100]).frame(&scene());
+        // Half of the vertical field is 45 degrees; the image is twice as wide as high.
+        assert!(frame.direction(100.0, 0.0).distance(dvec3(0.0, 1.0, -1.0).normalize()) < 1e-15);
+        assert!(frame.direction(100.0, 100.0).distance(dvec3(0.0, -1.0, -1.0).normalize()) < 1e-15);
+        assert!(frame.direction(200.0, 50.0).distance(dvec3(2.0, 0.0, -1.0).normalize()) < 1e-15);
+        assert!(frame.direction(0.0, 0.0).distance(dvec3(-2.0, 1.0, -1.0).normalize()) < 1e-15);
+    }
+
+    #[test]
+    fn the_unit_scales_the_eye() {
+        let mut scene = scene();
+        scene.unit = 0.5;
+        scene.center *= 0.5;
+        assert_eq!(camera(60.0, [8, 8]).frame(&scene).origin(), dvec3(0.0, 0.0, 2.5));
+    }
+}

@@ -105,3 +105,31 @@ impl Material {
         color::is_grey(self.specular) && color::is_grey(self.specular_transmission)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn energy_is_conserved_in_the_worst_channel() {
+        let mut m = Material::new("m");
+        m.diffuse = Rgb::new(0.5, 1.0, 0.0);
+        m.specular = Rgb::splat(0.5);
+        m.specular_transmission = Rgb::new(0.5, 0.5, 0.25);
+        m.emission = Rgb::splat(5.0);
+        assert_eq!(m.conserve_energy(), Some(2.0));
+        assert_eq!((m.diffuse, m.specular), (Rgb::new(0.25, 0.5, 0.0), Rgb::splat(0.25)));
+        assert_eq!(m.specular_transmission, Rgb::new(0.25, 0.25, 0.125));
+        assert_eq!(m.emission, Rgb::splat(5.0));
+        assert_eq!(m.conserve_energy(), None);
+    }
+
+    #[test]
+    fn rounding_is_not_excess() {
+        let mut m = Material::grey("m");
+        m.diffuse_transmission = Rgb::splat(0.5 + 1e-10);
+        let before = m.clone();
+        assert_eq!(m.conserve_energy(), None);
+        assert_eq!(m, before);
+    }
+}

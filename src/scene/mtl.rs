@@ -223,3 +223,74 @@ fn without_comment(line: &str) -> &str {
     let starts = |&(at, _): &(usize, &str)| line[..at].chars().next_back().is_none_or(char::is_whitespace);
     line.match_indices('#').find(starts).map_or(line, |(at, _)| line[..at].trim_end())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse_all(text: &str) -> (Vec<Material>, Vec<String>) {
+        parse(Path::new("x.mtl"), text).unwrap()
+    }
+
+    fn material(text: &str) -> Material {
+        parse_all(&format!("newmtl m\n{text}")).0.remove(0)
+    }
+
+    #[test]
+    fn diffuse_and_emission() {
+        let m = material(
+            "Ka 1 1 1\n\tKd 0.1 0.2 0.3 # red\n  Ke 17 12 4\nKs 1 1 1\nillum 1\nd 1\nTr 0\nTf 1 1 1\n",
+        );
+        assert_eq!((m.diffuse, m.emission), (Rgb::new(0.1, 0.2, 0.3), Rgb::new(17.0, 12.0, 4.0)));
+        assert!(!m.is_specular(), "illumination model 1 has no specular term");
+        assert_eq!(material("Kd 0.4\n").diffuse, Rgb::splat(0.4));
+        assert_eq!(material("Kd 0.4").diffuse, Rgb::splat(0.4));
+    }
+
+    #[test]
+    fn roughness_from_exponent_or_stated() {
+        let m = material("Ks 0.5 0.5 0.5\nNs 48\nillum 2\n");
+        assert!((m.alpha() - 0.2).abs() < 1e-15, "alpha = sqrt(2 / 50)");
+        assert_eq!(material("Ks 1 1 1\nNs 48\nPr 0.3\n").roughness, 0.3);
+        assert_eq!(material("Ks 1 1 1\nNs 48\nPr 0\n").roughness, 0.0);
+        assert_eq!(material("Ks 1 1 1\n").roughness, 1.0);
+        for mirror in ["illum 3", "illum 5"] {
+            assert_eq!(material(&format!("Ks 1 1 1\nNs 48\n{mirror}\n")).roughness, 0.0);
+        }
+    }
+
+    #[test]
+    fn glass_and_transparency() {
+        let glass = material("Kd 0 0 0\nKs 0.3 0.3 0.3\nTf 0.9 0.8 0.7\nNi 2.5\nillum 7\n");
+        assert_eq!((glass.specular_transmission, glass.ior), (Rgb::new(0.9, 0.8, 0.7), 2.5));
+        assert_eq!(glass.specular, Rgb::ZERO);
+        let plain = material("Ni 0\nillum 4\n");
+        assert_eq!((plain.specular_transmission, plain.ior), (Rgb::ONE, 1.5));
+        for half in ["d 0.25", "Tr 0.75", "d 0.25\nTr 0", "d -halo 0.25"] {
+            let m = material(&format!("Kd 0.8 0.8 0.8\nKs 0.2 0.2 0.2\nNi 1.5\nillum 2\n{half}\n"));
+            assert_eq!((m.specular_transmission, m.ior), (Rgb::splat(0.75), 1.0), "{half}");
+            assert_eq!((m.diffuse, m.specular), (Rgb::splat(0.2), Rgb::splat(0.05)), "{half}");
+        }
+    }
+
+    #[test]
+    fn what_is_not_modelled_is_said_once() {
+        let text = "newmtl a\nmap_Kd a.png\nmap_Ks a.png\nPm 0\nsharpness 3\nNZ 1\nKD 1 1 1\n\
+                    newmtl b\nmap_Kd b.png\nmap_Ks b.png\nPm 0.5\nPm 0.5\nNZ 1\n";
+        let (_, warnings) = parse_all(text);
+        for (line, key) in
+            [(2, "map_Kd"), (3, "map_Ks"), (6, "NZ"), (7, "did you mean Kd"), (9, "map_Kd"), (11, "Pm")]
+        {
+            let place = format!("x.mtl:{line}: ");
+            assert!(warnings.iter().any(|w| w.starts_with(&place) && w.contains(key)), "{key}: {warnings:?}");
+        }
+        assert_eq!(warnings.len(), 6, "{warnings:?}");
+    }
+
+    #[test]
+    fn the_last_of_equal_names_is_said_to_count() {
+        let (materials, warnings) = parse_all("newmtl a b\nKd 0\nnewmtl a b\nKd 1\n");
+        assert_eq!((materials.len(), materials[1].name.as_str()), (2, "a b"));
+        assert!(warnings.len() == 1 && warnings[0].starts_with("x.mtl:3: material \"a b\""), "{warnings:?}");
+    }
+}

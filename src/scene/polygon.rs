@@ -97,3 +97,121 @@ fn extent(points: &[DVec3]) -> f64 {
     let high = points.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
     if points.is_empty() { 0.0 } else { (high - low).length() }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::{DQuat, dvec3};
+    use std::f64::consts::TAU;
+
+    fn area_of(points: &[DVec3], face: &[usize; 4]) -> DVec3 {
+        let corners = if face[2] == face[3] { &face[..3] } else { &face[..] };
+        area_vector(&corners.iter().map(|&c| points[c]).collect::<Vec<_>>())
+    }
+
+    fn flat(points: &[[f64; 2]]) -> Vec<DVec3> {
+        points.iter().map(|p| dvec3(p[0], p[1], 3.0)).collect()
+    }
+
+    #[test]
+    fn area_vector_of_known_polygons() {
+        let square = flat(&[[0.0, 0.0], [2.0, 0.0], [2.0, 3.0], [0.0, 3.0]]);
+        assert_eq!(area_vector(&square), dvec3(0.0, 0.0, 6.0));
+        let clockwise: Vec<_> = square.into_iter().rev().collect();
+        assert_eq!(area_vector(&clockwise), dvec3(0.0, 0.0, -6.0));
+        assert_eq!(area_vector(&[]), DVec3::ZERO);
+    }
+
+    #[test]
+    fn only_parallelograms_stay_whole() {
+        let split_of = |p: [[f64; 2]; 4]| split(&flat(&p)).faces;
+        assert_eq!(split_of([[0.0, 0.0], [2.0, 0.0], [3.0, 1.0], [1.0, 1.0]]), [[0, 1, 2, 3]]);
+        let trapezium = [[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [1.0, 1.0]];
+        assert_eq!(split_of(trapezium), [[0, 1, 2, 2], [0, 2, 3, 3]]);
+        // 1e-8 of the size is rounding, 1e-6 is not.
+        assert_eq!(split_of([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0 + 1e-8], [0.0, 1.0]]).len(), 1);
+        assert_eq!(split_of([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0 + 1e-6], [0.0, 1.0]]).len(), 2);
+    }
+
+    #[test]
+    fn bent_quads_are_cut_from_their_first_corner() {
+        let mut quad = flat(&[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]);
+        quad[3].z += 0.1;
+        let bent = split(&quad);
+        assert_eq!(bent.faces, [[0, 1, 2, 2], [0, 2, 3, 3]]);
+        assert!(bent.bent && !bent.crossed);
+        quad[3].z = 3.0 + 1e-4;
+        assert!(!split(&quad).bent);
+    }
+
+    #[test]
+    fn concave_quads_are_cut_inside() {
+        // Reflex corners 1 and 0: the first can only be cut from there, the second from corner 0.
+        let points = flat(&[[0.0, 0.0], [1.0, 0.9], [2.0, 0.0], [1.0, 3.0]]);
+        for turn in 0..4 {
+            let mut quad = points.clone();
+            quad.rotate_left(turn);
+            let cut = split(&quad);
+            let parts: Vec<_> = cut.faces.iter().map(|f| area_of(&quad, f).z).collect();
+            assert!(parts.iter().all(|&a| a > 0.0), "{turn}: {parts:?}");
+            assert!((parts.iter().sum::<f64>() - 2.1).abs() < 1e-12, "{turn}: {parts:?}");
+        }
+    }
+
+    #[test]
+    fn what_has_no_area_gives_no_face() {
+        assert!(split(&[]).faces.is_empty());
+        assert!(split(&flat(&[[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]])).faces.is_empty());
+        assert!(split(&flat(&[[0.1, 0.1], [0.2, 0.2], [0.3, 0.3], [0.7, 0.7]])).faces.is_empty());
+        // Small is not degenerate.
+        assert_eq!(split(&flat(&[[0.0, 0.0], [1e-9, 0.0], [0.0, 1e-9]])).faces.len(), 1);
+    }
+
+    #[test]
+    fn crossed_edges_are_reported() {
+        let pentagram: Vec<_> =
+            (0..5).map(|k| 2.0 * k as f64 * TAU / 5.0).map(|a| [a.cos(), a.sin()]).collect();
+        assert!(split(&flat(&pentagram)).crossed);
+    }
+
+    /// SplitMix64, in [0, 1).
+    fn random(state: &mut u64) -> f64 {
+        *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = *state;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    #[test]
+    fn splitting_keeps_area_and_normal_of_random_concave_polygons() {
+        let mut state = 7;
+        for round in 0..2000 {
+            let corners = 4 + (random(&mut state) * 30.0) as usize;
+            let scale = 10f64.powf(random(&mut state) * 12.0 - 6.0);
+            let turn = DQuat::from_euler(
+                glam::EulerRot::XYZ,
+                TAU * random(&mut state),
+                TAU * random(&mut state),
+                TAU * random(&mut state),
+            );
+            let away = dvec3(random(&mut state), random(&mut state), random(&mut state)) * 100.0 * scale;
+            let star: Vec<_> = (0..corners)
+                .map(|k| {
+                    let angle = TAU * (k as f64 + 0.8 * random(&mut state)) / corners as f64;
+                    let radius = scale * (0.1 + 0.9 * random(&mut state));
+                    turn * dvec3(radius * angle.cos(), radius * angle.sin(), 0.0) + away
+                })
+                .collect();
+            let whole = area_vector(&star);
+            let cut = split(&star);
+            let parts: Vec<_> = cut.faces.iter().map(|f| area_of(&star, f)).collect();
+            assert!(!cut.bent && !cut.crossed, "round {round}");
+            assert!((parts.iter().sum::<DVec3>() - whole).length() < 1e-9 * whole.length(), "round {round}");
+            let along = |p: &DVec3| p.dot(whole) > 0.0;
+            assert!(parts.iter().all(along), "round {round}: a part is turned over");
+            let covered: f64 = parts.iter().map(|p| p.length()).sum();
+            assert!((covered - whole.length()).abs() < 1e-9 * covered, "round {round}");
+        }
+    }
+}
