@@ -188,6 +188,21 @@ fn damaged_bytes_are_an_error_and_never_a_panic() {
             let _ = load_obj(&String::from_utf8(bytes).unwrap());
         }
     }
+    let mtl = "newmtl m # x\nKd 1 1 1\nTf 1\nd -halo 0.5\nillum 7\nPr 0.5\nmap_Kd a.png\n";
+    let toml =
+        format!("unit = 0x10\n{CAMERA}size = [8, 8]\n[materials.\"\\u00e9\"]\ndiffuse = [1, 0.5, 1e-3]\n");
+    assert!(load_mtl(mtl).is_ok() && load_toml(&toml).is_ok());
+    for text in [mtl, &toml] {
+        for at in 0..text.len() {
+            let _ = load_mtl(&text[..at]);
+            let _ = load_toml(&text[..at]);
+            for change in ["", "\u{e9}", "[", "-", "\"", "\n", " #", "9"] {
+                let changed = format!("{}{change}{}", &text[..at], &text[at + 1..]);
+                let _ = load_mtl(&changed);
+                let _ = load_toml(&changed);
+            }
+        }
+    }
 }
 
 #[test]
@@ -251,6 +266,22 @@ fn faces_that_cannot_count_are_dropped_with_one_warning() {
     assert_eq!((scene.faces.len(), scene.polygon_count), (1, 1));
     assert_warning(&scene, &["s.obj:8", "2 faces of zero area", "\"thing\": 2"]);
     assert_warning(&scene, &["s.obj:7", "2 faces dropped that repeat"]);
+}
+
+#[test]
+fn faces_lost_to_single_precision_are_counted() {
+    let speck = "v 1e6 0 0\nv 1000000.001 0 0\nv 1e6 0.001 0\nf -3 -2 -1\n";
+    let scene = load_obj(&format!("{SQUARE}{speck}")).unwrap();
+    assert_eq!(scene.faces.len(), 2);
+    assert_warning(&scene, &["1 face is", "single precision"]);
+}
+
+#[test]
+fn a_library_named_twice_is_read_once() {
+    let obj = format!("mtllib s.mtl\nmtllib s.mtl gone.mtl\nusemtl m\n{SQUARE}");
+    let scene = load_files(&[("s.obj", &obj), ("s.mtl", "newmtl m\nmap_Kd a.png\n")]).unwrap();
+    assert_warning(&scene, &["s.mtl:2", "map_Kd"]);
+    assert_warning(&scene, &["s.obj:2", "gone.mtl"]);
 }
 
 #[test]

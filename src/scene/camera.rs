@@ -68,7 +68,8 @@ impl Camera {
             name,
         };
         let view = (camera.target - camera.origin).try_normalize();
-        let view = view.ok_or_else(|| section.error("origin and target are the same point"))?;
+        let view =
+            view.ok_or_else(|| section.error("origin and target are the same point, or too far apart"))?;
         let up = camera.up.try_normalize();
         let up = up.ok_or_else(|| section.error("up must not be zero"))?;
         if view.cross(up).length() < 1e-6 {

@@ -9,15 +9,20 @@ use toml::de::{DeTable, DeValue};
 pub(super) struct Document<'a> {
     /// The file.
     pub path: &'a Path,
-    /// Its whole text.
-    pub text: &'a str,
+    text: &'a str,
+    /// Offsets of the line ends.
+    line_ends: Vec<usize>,
 }
 
-impl Document<'_> {
+impl<'a> Document<'a> {
+    /// The text of the file `path`.
+    pub fn new(path: &'a Path, text: &'a str) -> Document<'a> {
+        Document { path, text, line_ends: text.match_indices('\n').map(|(at, _)| at).collect() }
+    }
+
     /// Line, from 1, of a byte offset.
     pub fn line(&self, offset: usize) -> usize {
-        let end = offset.min(self.text.len());
-        1 + self.text.as_bytes()[..end].iter().filter(|&&b| b == b'\n').count()
+        1 + self.line_ends.partition_point(|&end| end < offset)
     }
 
     /// An error at `line`.
@@ -252,5 +257,24 @@ fn kind(value: &DeValue<'_>) -> String {
         DeValue::Datetime(d) => format!("the date {d}"),
         DeValue::Array(_) => "a list".into(),
         DeValue::Table(_) => "a table".into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_count_from_one() {
+        let doc = Document::new(Path::new("x"), "ab\n\nc");
+        assert_eq!([0, 2, 3, 4, 9].map(|at| doc.line(at)), [1, 1, 2, 3, 3]);
+    }
+
+    #[test]
+    fn nearest_name_or_none() {
+        let known = ["diffuse", "specular", "ior"];
+        assert_eq!(nearest("Difuse", known), Some("diffuse"));
+        assert_eq!(nearest("iro", known), Some("ior"));
+        assert_eq!(nearest("texture", known), None);
     }
 }

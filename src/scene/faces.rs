@@ -222,7 +222,7 @@ impl Builder {
             (&self.zero_normals, "shaded flat for lack of a shading normal's direction"),
             (&self.averted_normals, "shaded flat because a shading normal points away from the front"),
         ];
-        let warnings = tallies.iter().filter_map(|(tally, what)| tally.warning(what)).collect();
+        let mut warnings: Vec<_> = tallies.iter().filter_map(|(tally, what)| tally.warning(what)).collect();
         if self.faces.is_empty() {
             let path = files.first().map(|f| f.path.clone()).unwrap_or_default();
             return Err(match files.iter().all(|f| f.polygons.is_empty()) {
@@ -244,6 +244,13 @@ impl Builder {
         let center = 0.5 * low + 0.5 * high;
         vertices.iter_mut().for_each(|v| *v -= center);
         self.faces.iter_mut().for_each(|face| measure(face, &vertices));
+        let too_small = self.faces.iter().filter(|f| !survives_single_precision(f, &vertices)).count();
+        if too_small > 0 {
+            let faces = if too_small == 1 { "face is" } else { "faces are" };
+            warnings.push(format!(
+                "{too_small} {faces} too small or thin for single precision in a scene of this size: rays may miss"
+            ));
+        }
         Ok(Geometry {
             triangle_count: self.faces.iter().filter(|f| f.is_triangle()).count(),
             polygon_count: self.polygon_count as usize,
@@ -280,4 +287,13 @@ fn measure(face: &mut Face, points: &[DVec3]) {
     let area = polygon::area_vector(corners);
     face.area = area.length();
     face.normal = area.normalize_or_zero();
+}
+
+/// Whether a face keeps its area and normal to a percent when rays see it: in single precision.
+fn survives_single_precision(face: &Face, points: &[DVec3]) -> bool {
+    let mut seen = *face;
+    let corners = face.vertices.map(|v| points[v as usize].as_vec3().as_dvec3());
+    seen.vertices = if face.is_triangle() { [0, 1, 2, 2] } else { [0, 1, 2, 3] };
+    measure(&mut seen, &corners);
+    (seen.area * seen.normal - face.area * face.normal).length() <= 0.01 * face.area
 }

@@ -48,7 +48,7 @@ pub fn load(path: &Path) -> Result<Scene> {
                 let line = 1 + valid.iter().filter(|&&b| b == b'\n').count();
                 Error::parse(path, Some(line), "is not UTF-8 text")
             })?;
-            load_toml(&Document { path, text: &text })
+            load_toml(&Document::new(path, &text))
         }
         _ => Err(Error::parse(path, None, "not a scene: expected a .toml scene file or an .obj file")),
     }
@@ -246,6 +246,9 @@ fn assemble(mut plan: Plan, mut files: Vec<ObjFile>, overrides: Vec<Override>) -
     objects.retain(|_| keep.next() == Some(&true));
 
     plan.warnings.append(&mut geometry.warnings);
+    // Files that share an MTL would say the same twice.
+    let mut said = HashSet::new();
+    plan.warnings.retain(|w| said.insert(w.clone()));
     Ok(Scene {
         path: plan.path,
         objects,
@@ -367,6 +370,8 @@ fn number_material(
 fn read_libraries(file: &ObjFile, warnings: &mut Vec<String>) -> Result<Vec<Material>> {
     let directory = file.path.parent().unwrap_or(Path::new(""));
     let mut materials = Vec::new();
+    // Some exporters name the library again with each object.
+    let mut read: HashSet<PathBuf> = HashSet::new();
     for (line, names) in &file.libraries {
         // One name with spaces, or several names.
         let names = if directory.join(names).is_file() {
@@ -376,6 +381,9 @@ fn read_libraries(file: &ObjFile, warnings: &mut Vec<String>) -> Result<Vec<Mate
         };
         for name in names {
             let path = directory.join(name);
+            if !read.insert(path.clone()) {
+                continue;
+            }
             if !path.is_file() {
                 let message = format!("material library \"{name}\" not found");
                 warnings.push(Error::parse(&file.path, Some(*line), message).to_string());

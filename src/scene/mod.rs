@@ -27,7 +27,8 @@ use std::path::PathBuf;
 pub struct Scene {
     /// The scene file (or the OBJ file, where one was given directly).
     pub path: PathBuf,
-    /// Object names in the order of the files' `o`/`g` statements.
+    /// Object names in the order of the files' `o`/`g` statements; names without faces are
+    /// left out.
     pub objects: Vec<String>,
     /// Materials; faces refer to them by index.
     pub materials: Vec<Material>,
