@@ -68,15 +68,15 @@ impl Tally {
         }
     }
 
-    /// `{first}: {n} faces {what} (object "a": 2, object "b": 1)`.
-    fn warning(&self, what: &str) -> Option<String> {
+    /// `{first}: {n} faces {what} (object "a": 2, object "b": 1)`; `many` follows several faces.
+    fn warning(&self, one: &str, many: &str) -> Option<String> {
         let total: usize = self.objects.iter().map(|(_, n)| n).sum();
         let mut parts: Vec<_> =
             self.objects.iter().take(5).map(|(o, n)| format!("object \"{o}\": {n}")).collect();
         if self.objects.len() > parts.len() {
             parts.push("...".into());
         }
-        let faces = if total == 1 { "face" } else { "faces" };
+        let (faces, what) = if total == 1 { ("face", one) } else { ("faces", many) };
         (total > 0).then(|| format!("{}: {total} {faces} {what} ({})", self.first, parts.join(", ")))
     }
 }
@@ -141,6 +141,10 @@ impl Builder {
         for corners in split.faces {
             let face_vertices = corners.map(|c| vertices[c]);
             let mut key = face_vertices;
+            if corners[2] == corners[3] {
+                // Which vertex a triangle repeats says nothing.
+                key[3] = u32::MAX;
+            }
             key.sort_unstable();
             if self.seen_faces.insert(key) {
                 let normals = shading.as_ref().map(|s| corners.map(|c| s[c]));
@@ -214,15 +218,18 @@ impl Builder {
     }
 
     fn finish(mut self, files: &[ObjFile]) -> Result<Geometry> {
+        let repeats = ("dropped that repeats an earlier face", "dropped that repeat earlier faces");
+        let same = |what: &'static str| (what, what);
         let tallies = [
-            (&self.no_area, "of zero area dropped"),
-            (&self.duplicates, "dropped that repeat an earlier face"),
-            (&self.bent, "far from planar; split from the first corner where that is possible"),
-            (&self.crossed, "whose edges cross; the split may cover parts twice or not at all"),
-            (&self.zero_normals, "shaded flat for lack of a shading normal's direction"),
-            (&self.averted_normals, "shaded flat because a shading normal points away from the front"),
+            (&self.no_area, same("of zero area dropped")),
+            (&self.duplicates, repeats),
+            (&self.bent, same("far from planar; split from the first corner where that is possible")),
+            (&self.crossed, same("whose edges cross; the split may cover parts twice or not at all")),
+            (&self.zero_normals, same("shaded flat for lack of a shading normal's direction")),
+            (&self.averted_normals, same("shaded flat because a shading normal points away from the front")),
         ];
-        let mut warnings: Vec<_> = tallies.iter().filter_map(|(tally, what)| tally.warning(what)).collect();
+        let warning = |(tally, (one, many)): &(&Tally, (&str, &str))| tally.warning(one, many);
+        let mut warnings: Vec<_> = tallies.iter().filter_map(warning).collect();
         if self.faces.is_empty() {
             let path = files.first().map(|f| f.path.clone()).unwrap_or_default();
             return Err(match files.iter().all(|f| f.polygons.is_empty()) {
