@@ -5,7 +5,7 @@ use super::document::{Section, nearest};
 use crate::error::{Error, Result};
 use glam::DVec3;
 
-/// Largest width or height of an image [pixels].
+/// Largest width or height of an image in pixels.
 const MAX_SIZE: u32 = 65_536;
 
 const KEYS: [&str; 6] = ["name", "origin", "target", "up", "fov", "size"];
@@ -21,9 +21,9 @@ pub struct Camera {
     pub target: DVec3,
     /// Which way is up in the image; neither zero nor along the view.
     pub up: DVec3,
-    /// Vertical field of view [degrees], within (0, 180).
+    /// Vertical field of view in degrees, within (0, 180).
     pub fov: f64,
-    /// Width and height [pixels], at least 1.
+    /// Width and height in pixels, at least 1.
     pub size: [u32; 2],
 }
 
@@ -95,7 +95,7 @@ impl Camera {
 }
 
 impl CameraFrame {
-    /// The eye [m], relative to the scene's centre.
+    /// The eye in metres, relative to the scene's centre.
     pub fn origin(&self) -> DVec3 {
         self.origin
     }
