@@ -22,6 +22,11 @@ pub fn srgb_encode(v: f64) -> f64 {
     if v <= 0.0031308 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
 }
 
+/// Linear value of an sRGB-encoded one: the inverse of [`srgb_encode`] on `[0, 1]`.
+pub fn srgb_decode(v: f64) -> f64 {
+    if v <= 0.040_45 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -32,5 +37,13 @@ mod tests {
         assert!((srgb_encode(1.0) - 1.0).abs() < 1e-12);
         assert!((srgb_encode(0.5) - 0.735_356_983_052_49).abs() < 1e-9);
         assert_eq!(srgb_encode(f64::NAN), 0.0);
+    }
+
+    #[test]
+    fn srgb_decode_inverts_encode() {
+        for i in 0..=1000 {
+            let v = f64::from(i) / 1000.0;
+            assert!((srgb_decode(srgb_encode(v)) - v).abs() < 1e-6);
+        }
     }
 }

@@ -1,1 +1,3 @@
+//! The `twopass` program.
+
 fn main() {}

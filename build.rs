@@ -1,0 +1,192 @@
+//! Finds Embree and OpenImageIO, binds their installed headers and compiles the shims of `ffi/`.
+
+use std::env;
+use std::path::{Path, PathBuf};
+use std::process::exit;
+
+fn main() {
+    for file in ["embree.h", "embree_shim.c", "oiio_shim.h", "oiio_shim.cpp"] {
+        println!("cargo::rerun-if-changed=ffi/{file}");
+    }
+    println!("cargo::rerun-if-changed=build.rs");
+    for variable in ["EMBREE_DIR", "OIIO_DIR"] {
+        println!("cargo::rerun-if-env-changed={variable}");
+    }
+    need_libclang();
+    embree();
+    oiio();
+}
+
+/// Ends the build with one line that says what to do.
+fn fail(message: &str) -> ! {
+    println!("cargo::error={message}");
+    exit(1)
+}
+
+/// bindgen itself panics with a page of text where libclang is missing.
+fn need_libclang() {
+    std::panic::set_hook(Box::new(|_| ()));
+    let found = std::panic::catch_unwind(bindgen::clang_version).is_ok();
+    let _ = std::panic::take_hook();
+    if !found {
+        fail("libclang was not found: install the package libclang-dev, or set LIBCLANG_PATH to its folder");
+    }
+}
+
+/// A library's headers and where to link it from.
+struct Library {
+    include: Vec<PathBuf>,
+    link: Vec<PathBuf>,
+}
+
+impl Library {
+    /// The library under a prefix that the user named.
+    fn under(prefix: &Path) -> Library {
+        let mut link: Vec<PathBuf> = ["lib", "lib64"].iter().map(|d| prefix.join(d)).collect();
+        if let (Ok(arch), Ok(os)) = (env::var("CARGO_CFG_TARGET_ARCH"), env::var("CARGO_CFG_TARGET_OS")) {
+            link.push(prefix.join(format!("lib/{arch}-{os}-gnu")));
+        }
+        link.retain(|d| d.is_dir());
+        Library { include: vec![prefix.join("include")], link }
+    }
+
+    fn has(&self, header: &str) -> bool {
+        self.include.iter().any(|d| d.join(header).is_file())
+    }
+
+    /// Asks pkg-config, then looks in the usual places.
+    fn installed(package: &str, header: &str) -> Option<Library> {
+        let probe = pkg_config::Config::new().cargo_metadata(false).env_metadata(true).probe(package);
+        if let Ok(found) = probe {
+            return Some(Library { include: found.include_paths, link: found.link_paths });
+        }
+        // The system's own prefix is searched by every compiler and linker without being named.
+        if Path::new("/usr/include").join(header).is_file() {
+            return Some(Library { include: vec![], link: vec![] });
+        }
+        ["/usr/local", "/opt/homebrew", "/opt/local"]
+            .iter()
+            .map(|prefix| Library::under(Path::new(prefix)))
+            .find(|library| library.has(header))
+    }
+
+    fn link(&self, names: &[&str]) {
+        for dir in &self.link {
+            println!("cargo::rustc-link-search=native={}", dir.display());
+            println!("cargo::rustc-link-arg=-Wl,-rpath,{}", dir.display());
+        }
+        for name in names {
+            println!("cargo::rustc-link-lib=dylib={name}");
+        }
+    }
+}
+
+/// The prefix in an environment variable, where it is set.
+fn prefix(variable: &str) -> Option<PathBuf> {
+    env::var_os(variable).filter(|v| !v.is_empty()).map(PathBuf::from)
+}
+
+fn embree() {
+    let header = |major: u32| format!("embree{major}/rtcore.h");
+    let found = match prefix("EMBREE_DIR") {
+        Some(dir) => {
+            let library = Library::under(&dir);
+            let Some(major) = [4, 3].into_iter().find(|&m| library.has(&header(m))) else {
+                fail(&format!("EMBREE_DIR={} holds no include/embree4/rtcore.h (or embree3)", dir.display()));
+            };
+            Some((major, library))
+        }
+        None => [4, 3]
+            .into_iter()
+            .find_map(|m| Library::installed(&format!("embree{m}"), &header(m)).map(|library| (m, library))),
+    };
+    let Some((major, library)) = found else {
+        fail("Embree was not found: install the package libembree-dev, or set EMBREE_DIR to its prefix");
+    };
+    let define = major.to_string();
+
+    let bindings = builder("ffi/embree.h", &library)
+        .clang_arg(format!("-DTWOPASS_EMBREE={define}"))
+        .allowlist_function("twopass_.*")
+        .allowlist_function("rtc(New|Release)(Device|Scene|Geometry)")
+        .allowlist_function("rtc(GetDeviceProperty|GetDeviceError|SetDeviceErrorFunction)")
+        .allowlist_function(
+            "rtcSet(SceneFlags|SceneBuildQuality|GeometryBuildQuality|GeometryMask|NewGeometryBuffer)",
+        )
+        .allowlist_function("rtc(CommitGeometry|AttachGeometryByID|CommitScene)")
+        .allowlist_type("RTCRay|RTCRay16|RTCRayHit|RTCRayHit16")
+        .allowlist_type("RTC(Error|Format|BufferType|GeometryType|BuildQuality|SceneFlags|DeviceProperty)")
+        .allowlist_var("RTC_VERSION");
+    generate(bindings, "embree.rs");
+
+    cc::Build::new()
+        .file("ffi/embree_shim.c")
+        .includes(&library.include)
+        .define("TWOPASS_EMBREE", define.as_str())
+        .warnings(true)
+        .compile("twopass_embree_shim");
+    library.link(&[&format!("embree{major}")]);
+}
+
+fn oiio() {
+    let header = "OpenImageIO/imageio.h";
+    let found = match prefix("OIIO_DIR") {
+        Some(dir) => {
+            let library = Library::under(&dir);
+            if !library.has(header) {
+                fail(&format!("OIIO_DIR={} holds no include/{header}", dir.display()));
+            }
+            Some(library)
+        }
+        None => Library::installed("OpenImageIO", header),
+    };
+    let Some(library) = found else {
+        fail(
+            "OpenImageIO was not found: install the package libopenimageio-dev, or set OIIO_DIR to its prefix",
+        );
+    };
+
+    let bindings =
+        builder("ffi/oiio_shim.h", &library).allowlist_function("twopass_.*").allowlist_type("Twopass.*");
+    generate(bindings, "oiio.rs");
+
+    cc::Build::new()
+        .cpp(true)
+        .std("c++17")
+        .file("ffi/oiio_shim.cpp")
+        .includes(&library.include)
+        // OpenImageIO's own headers warn.
+        .warnings(false)
+        .compile("twopass_oiio_shim");
+    library.link(&["OpenImageIO", "OpenImageIO_Util"]);
+}
+
+fn builder(header: &str, library: &Library) -> bindgen::Builder {
+    let Ok(floor) = bindgen::RustTarget::stable(85, 0) else { fail("bindgen does not know Rust 1.85") };
+    bindgen::Builder::default()
+        .header(header)
+        .clang_args(library.include.iter().map(|dir| format!("-I{}", dir.display())))
+        .rust_target(floor)
+        .rust_edition(bindgen::RustEdition::Edition2024)
+        .derive_default(true)
+        .prepend_enum_name(false)
+        .layout_tests(true)
+        .generate_comments(false)
+        .formatter(bindgen::Formatter::None)
+        // Rebuilds when an installed header changes, as after an upgrade of the library.
+        .parse_callbacks(Box::new(bindgen::CargoCallbacks::new()))
+}
+
+fn generate(builder: bindgen::Builder, file: &str) {
+    let out = PathBuf::from(env::var_os("OUT_DIR").unwrap_or_default()).join(file);
+    match builder.generate() {
+        Ok(bindings) => {
+            if let Err(error) = bindings.write_to_file(&out) {
+                fail(&format!("{}: {error}", out.display()));
+            }
+        }
+        Err(error) => {
+            fail(&format!("headers could not be bound ({})", error.to_string().replace('\n', "; ")))
+        }
+    }
+}

@@ -1,0 +1,133 @@
+//! Packets of 16 rays, in Embree's own structures so that nothing is copied around a query.
+
+use super::ray::{Hit, Ray};
+use super::scene::MISS;
+use super::sys;
+
+/// Rays in a packet.
+pub const LANES: usize = 16;
+
+/// Embree's mask of active lanes: -1 active, 0 not.
+#[derive(Debug, Clone)]
+#[repr(C, align(64))]
+pub(super) struct Valid(pub(super) [i32; LANES]);
+
+/// Writes one ray into the lane of a ray structure.
+macro_rules! set_lane {
+    ($rays:expr, $lane:expr, $ray:expr) => {{
+        let (rays, lane, ray) = ($rays, $lane, $ray);
+        rays.org_x[lane] = ray.origin.x;
+        rays.org_y[lane] = ray.origin.y;
+        rays.org_z[lane] = ray.origin.z;
+        rays.dir_x[lane] = ray.direction.x;
+        rays.dir_y[lane] = ray.direction.y;
+        rays.dir_z[lane] = ray.direction.z;
+        rays.tnear[lane] = ray.tnear;
+        rays.tfar[lane] = ray.tfar;
+    }};
+}
+
+/// 16 rays and their nearest hits.
+///
+/// A query shortens the rays that hit: set a lane again before it is traced again.
+#[derive(Debug, Clone)]
+pub struct RayPacket {
+    pub(super) query: sys::RTCRayHit16,
+    pub(super) valid: Valid,
+    /// Of the scene that was traced last; turns (geometry, primitive) into a face.
+    pub(super) triangle_count: u32,
+}
+
+impl Default for RayPacket {
+    fn default() -> RayPacket {
+        RayPacket::new()
+    }
+}
+
+impl RayPacket {
+    /// A packet without rays.
+    pub fn new() -> RayPacket {
+        let mut query = sys::RTCRayHit16::default();
+        query.ray.mask = [u32::MAX; LANES];
+        query.hit.geomID = [MISS; LANES];
+        RayPacket { query, valid: Valid([0; LANES]), triangle_count: 0 }
+    }
+
+    /// Puts a ray into a lane (0 to 15), which becomes active and loses its old hit.
+    #[inline]
+    pub fn set(&mut self, lane: usize, ray: &Ray) {
+        assert!(lane < LANES);
+        set_lane!(&mut self.query.ray, lane, ray);
+        self.query.hit.geomID[lane] = MISS;
+        self.valid.0[lane] = -1;
+    }
+
+    /// Makes every lane inactive.
+    #[inline]
+    pub fn clear(&mut self) {
+        self.valid.0 = [0; LANES];
+        self.query.hit.geomID = [MISS; LANES];
+    }
+
+    /// The hit of a lane (0 to 15); `None` for a miss and for an inactive lane.
+    #[inline]
+    pub fn hit(&self, lane: usize) -> Option<Hit> {
+        assert!(lane < LANES);
+        let hit = &self.query.hit;
+        let geometry = hit.geomID[lane];
+        (geometry != MISS).then(|| Hit {
+            face: hit.primID[lane] + geometry * self.triangle_count,
+            u: hit.u[lane],
+            v: hit.v[lane],
+            t: self.query.ray.tfar[lane],
+        })
+    }
+}
+
+/// 16 rays of which only matters whether anything blocks them.
+///
+/// A query marks blocked rays in place: set a lane again before it is traced again.
+#[derive(Debug, Clone)]
+pub struct ShadowPacket {
+    pub(super) query: sys::RTCRay16,
+    pub(super) valid: Valid,
+}
+
+impl Default for ShadowPacket {
+    fn default() -> ShadowPacket {
+        ShadowPacket::new()
+    }
+}
+
+impl ShadowPacket {
+    /// A packet without rays.
+    pub fn new() -> ShadowPacket {
+        let query = sys::RTCRay16 { mask: [u32::MAX; LANES], ..Default::default() };
+        ShadowPacket { query, valid: Valid([0; LANES]) }
+    }
+
+    /// Puts a ray into a lane (0 to 15), which becomes active.
+    #[inline]
+    pub fn set(&mut self, lane: usize, ray: &Ray) {
+        assert!(lane < LANES);
+        set_lane!(&mut self.query, lane, ray);
+        self.valid.0[lane] = -1;
+    }
+
+    /// Makes every lane inactive.
+    #[inline]
+    pub fn clear(&mut self) {
+        self.valid.0 = [0; LANES];
+    }
+
+    /// The active lanes that Embree marked as blocked.
+    #[inline]
+    pub(super) fn blocked(&self) -> u16 {
+        let mut bits = 0;
+        for lane in 0..LANES {
+            let blocked = self.valid.0[lane] != 0 && self.query.tfar[lane] == f32::NEG_INFINITY;
+            bits |= u16::from(blocked) << lane;
+        }
+        bits
+    }
+}

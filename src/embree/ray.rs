@@ -1,0 +1,63 @@
+//! Single rays and their hits.
+
+use super::sys;
+use glam::Vec3;
+
+/// A ray segment; the direction need not be a unit vector, distances count in its length.
+#[derive(Clone, Copy, Debug)]
+pub struct Ray {
+    /// Where the ray starts.
+    pub origin: Vec3,
+    /// Where it goes.
+    pub direction: Vec3,
+    /// Hits before this distance do not count; not negative.
+    pub tnear: f32,
+    /// Hits beyond this distance do not count. Exactly at `tnear` or `tfar` they may.
+    pub tfar: f32,
+}
+
+impl Ray {
+    /// An endless ray.
+    #[inline]
+    pub fn new(origin: Vec3, direction: Vec3) -> Ray {
+        Ray::segment(origin, direction, f32::INFINITY)
+    }
+
+    /// A ray that ends at the distance `tfar`.
+    #[inline]
+    pub fn segment(origin: Vec3, direction: Vec3, tfar: f32) -> Ray {
+        Ray { origin, direction, tnear: 0.0, tfar }
+    }
+
+    #[inline]
+    pub(super) fn to_raw(self) -> sys::RTCRay {
+        sys::RTCRay {
+            org_x: self.origin.x,
+            org_y: self.origin.y,
+            org_z: self.origin.z,
+            tnear: self.tnear,
+            dir_x: self.direction.x,
+            dir_y: self.direction.y,
+            dir_z: self.direction.z,
+            tfar: self.tfar,
+            mask: u32::MAX,
+            ..Default::default()
+        }
+    }
+}
+
+/// Where a ray meets a face.
+///
+/// The point is `p0 + u (p1 - p0) + v (p2 - p0)` on a triangle and, for a parallelogram,
+/// `p0 + u (p1 - p0) + v (p3 - p0)`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hit {
+    /// The face: triangles first, then quads, in the order the scene was given them.
+    pub face: u32,
+    /// First coordinate on the face.
+    pub u: f32,
+    /// Second coordinate on the face.
+    pub v: f32,
+    /// Distance, in lengths of the ray's direction.
+    pub t: f32,
+}

@@ -1,0 +1,46 @@
+//! Images: one value, written and read through OpenImageIO, compared with a reference.
+
+mod compare;
+mod oiio;
+
+pub use compare::{Comparison, read_exr, read_mask_npy, relative_rmse, relative_rmse_halves};
+pub use oiio::{WriteOptions, read, supported, version, write};
+
+/// Linear RGB radiance, row by row from the top.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Image {
+    /// Pixels in a row.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Samples a pixel; 3 in every image that this crate makes or reads.
+    pub channels: usize,
+    /// `width * height * channels` samples, the channels of a pixel together.
+    pub data: Vec<f32>,
+}
+
+impl Image {
+    /// A black image.
+    pub fn new(width: usize, height: usize) -> Image {
+        Image { width, height, channels: 3, data: vec![0.0; width * height * 3] }
+    }
+
+    /// The pixel in column `x` of row `y` (0 at the top).
+    #[inline]
+    pub fn get(&self, x: usize, y: usize) -> [f32; 3] {
+        let i = (y * self.width + x) * self.channels;
+        [self.data[i], self.data[i + 1], self.data[i + 2]]
+    }
+
+    /// Replaces the pixel in column `x` of row `y` (0 at the top).
+    #[inline]
+    pub fn set(&mut self, x: usize, y: usize, pixel: [f32; 3]) {
+        let i = (y * self.width + x) * self.channels;
+        self.data[i..i + 3].copy_from_slice(&pixel);
+    }
+
+    /// Number of pixels.
+    pub fn pixel_count(&self) -> usize {
+        self.width * self.height
+    }
+}

@@ -1,0 +1,292 @@
+//! Images on disk, through the C shim around OpenImageIO.
+//!
+//! OpenImageIO encodes to memory and this module writes the bytes: every failure of the disk is
+//! seen, and a file appears under its name only when it is whole.
+
+#![allow(unsafe_code)]
+
+use super::Image;
+use crate::color::{srgb_decode, srgb_encode};
+use crate::error::{Error, Result};
+use std::ffi::{CStr, CString, c_char};
+use std::fs::{self, File};
+use std::io::Write;
+use std::os::unix::ffi::OsStrExt;
+use std::path::{Path, PathBuf};
+use std::ptr::{self, NonNull};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+mod sys {
+    //! What bindgen made of the shim's header.
+    #![allow(
+        non_camel_case_types,
+        non_snake_case,
+        non_upper_case_globals,
+        missing_docs,
+        dead_code,
+        clippy::all
+    )]
+    include!(concat!(env!("OUT_DIR"), "/oiio.rs"));
+}
+
+/// How an image is written.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct WriteOptions {
+    /// Exposure in EV of 8-bit formats: radiance is multiplied by 2 to this power before encoding.
+    pub exposure: f64,
+    /// Text attributes by name, kept by the formats that can.
+    pub metadata: Vec<(String, String)>,
+}
+
+/// A file format that this program writes.
+struct Format {
+    extensions: &'static [&'static str],
+    plugin: &'static str,
+    /// sRGB after exposure in 8 bits; linear float otherwise.
+    eight_bit: bool,
+    compression: Option<&'static str>,
+}
+
+const FORMATS: [Format; 5] = [
+    Format { extensions: &["exr"], plugin: "openexr", eight_bit: false, compression: Some("zip") },
+    Format { extensions: &["tif", "tiff"], plugin: "tiff", eight_bit: false, compression: Some("zip") },
+    Format { extensions: &["hdr"], plugin: "hdr", eight_bit: false, compression: None },
+    Format { extensions: &["png"], plugin: "png", eight_bit: true, compression: None },
+    Format { extensions: &["jpg", "jpeg"], plugin: "jpeg", eight_bit: true, compression: Some("jpeg:95") },
+];
+
+/// The format that a file's extension names.
+fn format_of(path: &Path) -> Result<&'static Format> {
+    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    FORMATS.iter().find(|f| f.extensions.contains(&extension.as_str())).ok_or_else(|| {
+        let known: Vec<String> = FORMATS.iter().flat_map(|f| f.extensions).map(|e| format!(".{e}")).collect();
+        Error::Usage(format!(
+            "{}: the image format is unknown; use one of {}",
+            path.display(),
+            known.join(", ")
+        ))
+    })
+}
+
+fn image_error(path: &Path, message: impl Into<String>) -> Error {
+    Error::Image { path: path.into(), message: message.into() }
+}
+
+/// The version of OpenImageIO that runs, for example `2.5.18`.
+pub fn version() -> String {
+    let mut text: [c_char; 32] = [0; 32];
+    // SAFETY: the shim writes at most the given size, with its terminator.
+    unsafe { sys::twopass_oiio_version(text.as_mut_ptr(), text.len()) };
+    message(&text)
+}
+
+/// Whether an image can be written at `path`: a known format in a folder that takes files.
+///
+/// For a command to refuse before it renders; what changes meanwhile is found by [`write()`].
+pub fn supported(path: &Path) -> Result<()> {
+    format_of(path)?;
+    let folder = folder(path);
+    if !folder.is_dir() {
+        return Err(image_error(path, format!("the folder {} does not exist", folder.display())));
+    }
+    if path.is_dir() {
+        return Err(image_error(path, "is a folder"));
+    }
+    // Permission bits do not tell of read-only file systems, access lists or root: try.
+    let probe = Temporary::beside(path);
+    File::create_new(&probe.0)
+        .map(drop)
+        .map_err(|e| image_error(path, format!("the folder {} cannot be written to: {e}", folder.display())))
+}
+
+/// Writes an image in the format of `path`'s extension.
+///
+/// `exr`, `tif`, `tiff` and `hdr` hold linear radiance, `png`, `jpg` and `jpeg` 8-bit sRGB after
+/// exposure. The file is written beside its name and renamed: it is whole or does not exist, and a
+/// file that was there before stays until then.
+pub fn write(image: &Image, path: &Path, options: &WriteOptions) -> Result<()> {
+    let format = format_of(path)?;
+    let bytes = encode(image, path, format, options)?;
+    let temporary = Temporary::beside(path);
+    let disk = |e: std::io::Error| image_error(path, format!("cannot be written: {e}"));
+    let mut file = File::create_new(&temporary.0).map_err(disk)?;
+    file.write_all(bytes.as_slice()).map_err(disk)?;
+    // Late failures of a full or remote disk show here, while the old file is still in place.
+    file.sync_all().map_err(disk)?;
+    drop(file);
+    fs::rename(&temporary.0, path).map_err(disk)
+}
+
+/// Reads an image that OpenImageIO can read, as linear RGB.
+///
+/// sRGB samples are decoded, a single grey channel is spread over the three, and what follows the
+/// third channel is left out.
+pub fn read(path: &Path) -> Result<Image> {
+    // A file that is missing or closed to us says so better by itself.
+    File::open(path).map_err(|e| Error::io(path, e))?;
+    let (reader, header) = Reader::open(path)?;
+    let size = |n: i32| usize::try_from(n).ok().filter(|&n| n > 0);
+    let (Some(width), Some(height), Some(channels)) =
+        (size(header.width), size(header.height), size(header.channels))
+    else {
+        return Err(image_error(path, "holds no pixels"));
+    };
+    let too_large = || image_error(path, format!("is too large: {width} x {height} x {channels}"));
+    let count = width.checked_mul(height).and_then(|n| n.checked_mul(channels)).ok_or_else(too_large)?;
+    let mut raw: Vec<f32> = Vec::new();
+    raw.try_reserve_exact(count).map_err(|_| too_large())?;
+    raw.resize(count, 0.0);
+    reader.read(path, &mut raw)?;
+
+    let mut image = Image::new(width, height);
+    for (to, from) in image.data.chunks_exact_mut(3).zip(raw.chunks_exact(channels)) {
+        for (k, value) in to.iter_mut().enumerate() {
+            let sample = if channels < 3 { from[0] } else { from[k] };
+            *value = if header.srgb != 0 { srgb_decode(f64::from(sample)) as f32 } else { sample };
+        }
+    }
+    Ok(image)
+}
+
+/// The folder of a file; `.` for a bare name.
+fn folder(path: &Path) -> &Path {
+    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// A file beside another, removed when dropped unless it was renamed.
+struct Temporary(PathBuf);
+
+impl Temporary {
+    fn beside(path: &Path) -> Temporary {
+        static COUNT: AtomicU64 = AtomicU64::new(0);
+        let count = COUNT.fetch_add(1, Ordering::Relaxed);
+        // Not made of the file's own name, which may be as long as a name can be.
+        Temporary(folder(path).join(format!(".twopass-{}-{count}.tmp", std::process::id())))
+    }
+}
+
+impl Drop for Temporary {
+    fn drop(&mut self) {
+        // Fails where the file was renamed or never made: both are as they should be.
+        let _ = fs::remove_file(&self.0);
+    }
+}
+
+/// Bytes that the shim owns.
+struct Bytes(NonNull<sys::TwopassBytes>);
+
+impl Bytes {
+    fn as_slice(&self) -> &[u8] {
+        // SAFETY: the handle is live for as long as `self`, and its bytes do not change.
+        unsafe {
+            let (data, size) =
+                (sys::twopass_bytes_data(self.0.as_ptr()), sys::twopass_bytes_size(self.0.as_ptr()));
+            if data.is_null() { &[] } else { std::slice::from_raw_parts(data, size) }
+        }
+    }
+}
+
+impl Drop for Bytes {
+    fn drop(&mut self) {
+        // SAFETY: the handle came from `twopass_encode` and is freed once.
+        unsafe { sys::twopass_bytes_free(self.0.as_ptr()) }
+    }
+}
+
+fn encode(image: &Image, path: &Path, format: &Format, options: &WriteOptions) -> Result<Bytes> {
+    let size = |n: usize| i32::try_from(n).ok().filter(|&n| n > 0);
+    let (Some(width), Some(height), Some(channels)) =
+        (size(image.width), size(image.height), size(image.channels))
+    else {
+        return Err(image_error(path, format!("cannot hold {} x {} pixels", image.width, image.height)));
+    };
+    if image.width.checked_mul(image.height).and_then(|n| n.checked_mul(image.channels))
+        != Some(image.data.len())
+    {
+        return Err(image_error(path, "the image's samples do not match its size"));
+    }
+    let eight_bit: Vec<u8> = if format.eight_bit {
+        let scale = options.exposure.exp2();
+        image.data.iter().map(|&v| (srgb_encode(f64::from(v) * scale) * 255.0).round() as u8).collect()
+    } else {
+        Vec::new()
+    };
+
+    let text = |s: &str| {
+        CString::new(s).map_err(|_| image_error(path, format!("metadata holds a null character: {s:?}")))
+    };
+    let plugin = text(format.plugin)?;
+    let compression = format.compression.map(text).transpose()?;
+    let metadata: Vec<(CString, CString)> = options
+        .metadata
+        .iter()
+        .map(|(name, value)| Ok((text(name)?, text(value)?)))
+        .collect::<Result<_>>()?;
+    let attributes: Vec<sys::TwopassAttribute> = metadata
+        .iter()
+        .map(|(name, value)| sys::TwopassAttribute { name: name.as_ptr(), value: value.as_ptr() })
+        .collect();
+
+    let what = sys::TwopassEncode {
+        format: plugin.as_ptr(),
+        width,
+        height,
+        channels,
+        eight_bit: i32::from(format.eight_bit),
+        pixels: if format.eight_bit { eight_bit.as_ptr().cast() } else { image.data.as_ptr().cast() },
+        compression: compression.as_ref().map_or(ptr::null(), |c| c.as_ptr()),
+        attributes: attributes.as_ptr(),
+        attribute_count: attributes.len(),
+    };
+    let mut error: [c_char; 512] = [0; 512];
+    // SAFETY: the strings, attributes and pixels that `what` points to outlive the call, the pixels
+    // number width * height * channels of the stated type, and the buffer has the stated size.
+    let bytes = unsafe { sys::twopass_encode(&what, error.as_mut_ptr(), error.len()) };
+    NonNull::new(bytes).map(Bytes).ok_or_else(|| image_error(path, message(&error)))
+}
+
+/// An open image file.
+struct Reader(NonNull<sys::TwopassReader>);
+
+impl Reader {
+    fn open(path: &Path) -> Result<(Reader, sys::TwopassHeader)> {
+        let name = CString::new(path.as_os_str().as_bytes())
+            .map_err(|_| image_error(path, "the name holds a null character"))?;
+        let mut header = sys::TwopassHeader::default();
+        let mut error: [c_char; 512] = [0; 512];
+        // SAFETY: the name is terminated, and name, header and buffer outlive the call.
+        let reader =
+            unsafe { sys::twopass_reader_open(name.as_ptr(), &mut header, error.as_mut_ptr(), error.len()) };
+        match NonNull::new(reader) {
+            Some(reader) => Ok((Reader(reader), header)),
+            None => Err(image_error(path, message(&error))),
+        }
+    }
+
+    /// Fills `pixels`, which must be as long as the header says.
+    fn read(&self, path: &Path, pixels: &mut [f32]) -> Result<()> {
+        let mut error: [c_char; 512] = [0; 512];
+        // SAFETY: the handle is live, and the only caller sized `pixels` by the header.
+        let failed = unsafe {
+            sys::twopass_reader_read(self.0.as_ptr(), pixels.as_mut_ptr(), error.as_mut_ptr(), error.len())
+        };
+        if failed == 0 { Ok(()) } else { Err(image_error(path, message(&error))) }
+    }
+}
+
+impl Drop for Reader {
+    fn drop(&mut self) {
+        // SAFETY: the handle came from `twopass_reader_open` and is freed once.
+        unsafe { sys::twopass_reader_free(self.0.as_ptr()) }
+    }
+}
+
+/// The terminated text in a buffer that the shim wrote, in one line.
+fn message(buffer: &[c_char]) -> String {
+    let bytes: Vec<u8> = buffer.iter().map(|&c| c as u8).collect();
+    let text = CStr::from_bytes_until_nul(&bytes).unwrap_or_default().to_string_lossy();
+    text.trim().replace('\n', "; ")
+}
+
+#[cfg(test)]
+mod tests;
