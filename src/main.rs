@@ -1,3 +1,5 @@
 //! The `twopass` program.
 
-fn main() {}
+fn main() -> std::process::ExitCode {
+    twopass::cli::run()
+}

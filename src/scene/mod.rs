@@ -7,6 +7,7 @@
 mod camera;
 mod document;
 mod faces;
+mod features;
 mod load;
 mod material;
 mod mtl;
@@ -15,6 +16,7 @@ mod obj_text;
 mod polygon;
 
 pub use camera::{Camera, CameraFrame};
+pub use features::Features;
 pub use load::load;
 pub use material::Material;
 
@@ -32,7 +34,7 @@ pub struct Scene {
     pub objects: Vec<String>,
     /// Materials; faces refer to them by index.
     pub materials: Vec<Material>,
-    /// Vertex positions [m], relative to `center`.
+    /// Vertex positions \[m\], relative to `center`.
     pub vertices: Vec<DVec3>,
     /// Unit shading normals of the faces that have them.
     pub normals: Vec<DVec3>,
@@ -42,9 +44,9 @@ pub struct Scene {
     pub triangle_count: usize,
     /// Number of polygons in the input files that faces were made of.
     pub polygon_count: usize,
-    /// Middle of the bounding box in the file's frame [m].
+    /// Middle of the bounding box in the file's frame \[m\].
     pub center: DVec3,
-    /// Half the diagonal of the bounding box [m].
+    /// Half the diagonal of the bounding box \[m\].
     pub radius: f64,
     /// Metres per unit of the scene file.
     pub unit: f64,
@@ -93,7 +95,7 @@ impl Face {
 /// Defaults for pass 1 from the scene file; the command line overrides them.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct RadiosityDefaults {
-    /// Largest edge of an element [m].
+    /// Largest edge of an element \[m\].
     pub element_size: Option<f64>,
     /// Rays an element.
     pub rays: Option<u32>,
@@ -123,5 +125,27 @@ impl Scene {
     /// The material of a face.
     pub fn material(&self, face: &Face) -> &Material {
         &self.materials[face.material as usize]
+    }
+
+    /// A number that changes whenever geometry, materials or environment change: FNV-1a over their
+    /// exact values. Cameras and defaults do not count.
+    pub fn hash(&self) -> u64 {
+        let mut h = 0xcbf2_9ce4_8422_2325u64;
+        let mut eat = |bytes: &[u8]| {
+            for b in bytes {
+                h = (h ^ u64::from(*b)).wrapping_mul(0x0100_0000_01b3);
+            }
+        };
+        for v in self.vertices.iter().chain(&self.normals).chain([&self.center, &self.environment]) {
+            v.to_array().iter().for_each(|x| eat(&x.to_bits().to_le_bytes()));
+        }
+        for f in &self.faces {
+            f.vertices.iter().chain(f.normals.iter().flatten()).for_each(|i| eat(&i.to_le_bytes()));
+            eat(&f.material.to_le_bytes());
+        }
+        for m in &self.materials {
+            eat(format!("{m:?}").as_bytes());
+        }
+        h
     }
 }

@@ -74,7 +74,7 @@ fn clip_ears(points: &[DVec3], normal: DVec3, size: f64, bent: bool) -> Split {
     };
     let plane: Vec<[f64; 2]> = points.iter().map(flat).collect();
     let mut corners: Vec<u32> = Vec::new();
-    earcut::Earcut::new().earcut_slice(&plane, &[], &mut corners);
+    earcut::Earcut::new().earcut(plane.iter().copied(), &[], &mut corners);
 
     let mut faces = Vec::with_capacity(corners.len() / 3);
     let mut covered = 0.0;

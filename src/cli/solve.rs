@@ -1,0 +1,50 @@
+//! `twopass solve`.
+
+use super::args::SolveArgs;
+use super::progress::Progress;
+use super::render::pass1;
+use crate::embree::Device;
+use crate::emitters::Emitters;
+use crate::pipeline::{self, Stage};
+use crate::report::{Pass1Report, Report, Versions, write_whole};
+use crate::scene::load;
+use crate::visibility::Visibility;
+use crate::{Error, Result};
+
+pub fn run(args: &SolveArgs) -> Result<()> {
+    if args.output.extension().is_none_or(|e| e != "npz") {
+        return Err(Error::Usage(format!("{}: a solution is written as .npz", args.output.display())));
+    }
+    let progress = Progress::new(args.common.quiet);
+    let observer = &|e| progress.tell(e);
+    let mut stages: Vec<Stage> = Vec::new();
+    let scene = pipeline::stage("load", 0, observer, &mut stages, || (load(&args.scene), 0))?;
+    scene.warnings.iter().for_each(|w| progress.warn(w));
+    let settings = pass1(&args.pass1, &scene, args.common.seed);
+    let device = Device::new(rayon::current_num_threads())?;
+    let visibility =
+        pipeline::stage("build", 0, observer, &mut stages, || (Visibility::new(&device, &scene), 0))?;
+    let emitters = Emitters::new(&scene);
+    let result = pipeline::solve(&visibility, &emitters, &scene.cameras, &settings, observer, &mut stages)?;
+    result.warnings.iter().for_each(|w| progress.warn(w));
+    let versions = Versions::new(&device);
+    let meta = serde_json::json!({
+        "objects": scene.objects,
+        "scene_hash": format!("{:016x}", scene.hash()),
+        "settings": settings,
+        "versions": versions,
+    });
+    pipeline::stage("write", 0, observer, &mut stages, || {
+        let bytes = result.solution.to_npz(&scene, &meta.to_string());
+        (bytes.and_then(|b| write_whole(&args.output, &b)), 0)
+    })?;
+    let warnings = scene.warnings.iter().chain(&result.warnings).cloned().collect();
+    let mut report = Report::new(&scene, versions, args.common.seed, stages, warnings);
+    let pass1 = Pass1Report::new(&settings, &result);
+    report.elements = pass1.elements;
+    report.pass1 = Some(pass1);
+    if let Some(path) = &args.common.report {
+        report.write(path)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,266 @@
+//! Sampling the light sources, straight and by their mirror images.
+//!
+//! A flat perfect mirror shows the sources where their mirror images are: the paper's way to
+//! couple specular and diffuse surfaces. Each sampled point of an emitter is also reflected in
+//! every mirror plane, and counts where the image is seen through the mirror's outline.
+
+use crate::bsdf::MIRROR_ALPHA;
+use crate::color::{self, Rgb};
+use crate::mesh::side_index;
+use crate::sampling;
+use crate::scene::Scene;
+use crate::visibility::Visibility;
+use glam::{DVec3, Vec3};
+use std::f64::consts::PI;
+
+/// With more mirror planes than this (a faceted ball, say) images are not worth their cost.
+const MAX_MIRRORS: usize = 32;
+const NONE: u32 = u32::MAX;
+
+/// All emitting sides of a scene, and the planes of its flat mirrors.
+#[derive(Debug, Clone)]
+pub struct Emitters {
+    sides: Vec<EmitterSide>,
+    cumulative: Vec<f64>,
+    index: Vec<u32>,
+    mirrors: Vec<MirrorPlane>,
+    mirror_of: Vec<u32>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct EmitterSide {
+    face: u32,
+    radiance: Rgb,
+    normal: DVec3,
+    /// Probability of choosing the side over its area [m^-2].
+    density: f64,
+}
+
+#[derive(Debug, Clone)]
+struct MirrorPlane {
+    normal: DVec3,
+    offset: f64,
+    faces: Vec<u32>,
+}
+
+/// A point on an emitter.
+#[derive(Debug, Clone, Copy)]
+pub struct EmitterSample {
+    /// Position.
+    pub point: DVec3,
+    /// Unit normal towards the emitting side.
+    pub normal: DVec3,
+    /// Emitted radiance [W m^-2 sr^-1].
+    pub radiance: Rgb,
+    /// Density per area of the emitters [m^-2].
+    pub density: f64,
+}
+
+/// How light came from an emitter to a receiver.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Passage {
+    /// In a straight line.
+    Straight,
+    /// By one flat mirror whose images are sampled.
+    Image,
+    /// By any other specular chain.
+    Chain,
+}
+
+/// Geometry of one connection from a receiver to an emitter.
+#[derive(Debug, Clone, Copy)]
+pub struct Connection {
+    /// Unit direction at the receiver.
+    pub direction: DVec3,
+    /// Irradiance at the receiver for one sample, before visibility [W m^-2].
+    pub irradiance: Rgb,
+    /// Density of the sample per solid angle at the receiver [sr^-1].
+    pub density: f64,
+}
+
+impl Emitters {
+    /// The emitters and flat mirrors of a scene.
+    pub fn new(scene: &Scene) -> Emitters {
+        let mut sides = Vec::new();
+        let mut index = vec![NONE; 2 * scene.faces.len()];
+        for (k, face) in scene.faces.iter().enumerate() {
+            for front in [true, false] {
+                let radiance = scene.material(face).emitted(front);
+                if radiance.max_element() > 0.0 {
+                    index[side_index(k as u32, front)] = sides.len() as u32;
+                    let normal = if front { face.normal } else { -face.normal };
+                    sides.push(EmitterSide { face: k as u32, radiance, normal, density: face.area });
+                }
+            }
+        }
+        let total: f64 = sides.iter().map(|s| s.density * color::mean(s.radiance)).sum();
+        let (mut sum, mut cumulative) = (0.0, Vec::with_capacity(sides.len()));
+        for side in &mut sides {
+            sum += side.density * color::mean(side.radiance) / total;
+            cumulative.push(sum);
+            side.density = color::mean(side.radiance) / total;
+        }
+        let (mirrors, mirror_of) = mirror_planes(scene);
+        Emitters { sides, cumulative, index, mirrors, mirror_of }
+    }
+
+    /// The scene has no emitter.
+    pub fn is_empty(&self) -> bool {
+        self.sides.is_empty()
+    }
+
+    /// Number of emitting sides.
+    pub fn len(&self) -> usize {
+        self.sides.len()
+    }
+
+    /// The emitters have sampled mirror images.
+    pub fn has_images(&self) -> bool {
+        !self.mirrors.is_empty() && !self.sides.is_empty()
+    }
+
+    /// Whether a face is part of a flat mirror whose images are sampled.
+    pub fn is_image_mirror(&self, face: u32) -> bool {
+        self.mirror_of.get(face as usize).is_some_and(|m| *m != NONE)
+    }
+
+    /// Radiance and area density of the side that a ray met; none if it does not emit.
+    #[inline]
+    pub fn at(&self, face: u32, front: bool) -> Option<(Rgb, f64)> {
+        match self.index[side_index(face, front)] {
+            NONE => None,
+            k => Some((self.sides[k as usize].radiance, self.sides[k as usize].density)),
+        }
+    }
+
+    /// A point chosen in proportion to emitted power; `u` in [0, 1)^3.
+    pub fn sample(&self, scene: &Scene, u: [f64; 3]) -> Option<EmitterSample> {
+        let k = self.cumulative.partition_point(|c| *c <= u[0]).min(self.sides.len().checked_sub(1)?);
+        let side = &self.sides[k];
+        let face = &scene.faces[side.face as usize];
+        let (s, t) = if face.is_triangle() { sampling::triangle(u[1], u[2]) } else { (u[1], u[2]) };
+        let (p0, e1, e2) = scene.face_frame(face);
+        Some(EmitterSample {
+            point: p0 + s * e1 + t * e2,
+            normal: side.normal,
+            radiance: side.radiance,
+            density: side.density,
+        })
+    }
+
+    /// Calls `found(face, window, connection)` for every mirror plane in which the receiver at `point` with
+    /// unit normal `normal` sees the image of a sampled emitter point, visibility aside.
+    pub fn images(
+        &self,
+        scene: &Scene,
+        point: DVec3,
+        normal: DVec3,
+        sample: &EmitterSample,
+        mut found: impl FnMut(u32, DVec3, Connection),
+    ) {
+        for mirror in &self.mirrors {
+            let (a, b) = (mirror.normal.dot(point) - mirror.offset, mirror.normal.dot(sample.point) - mirror.offset);
+            // Both in front, or both behind.
+            if a * b <= 0.0 {
+                continue;
+            }
+            let flip = -2.0 * mirror.normal.dot(sample.normal);
+            let image = EmitterSample {
+                point: sample.point - 2.0 * b * mirror.normal,
+                normal: sample.normal + flip * mirror.normal,
+                ..*sample
+            };
+            let Some(connection) = connect(point, normal, &image) else { continue };
+            let window = point + (image.point - point) * (a / (a + b));
+            let front = a > 0.0;
+            let face = mirror.faces.iter().copied().find(|&f| {
+                let face = &scene.faces[f as usize];
+                contains(scene, f, window)
+                    && (scene.material(face).two_sided || front == (face.normal.dot(mirror.normal) > 0.0))
+            });
+            if let Some(face) = face {
+                let albedo = scene.material(&scene.faces[face as usize]).specular;
+                found(face, window, Connection { irradiance: connection.irradiance * albedo, ..connection });
+            }
+        }
+    }
+
+    /// Whether the two legs of a connection by a mirror are free.
+    pub fn image_visible(&self, v: &Visibility, origin: Vec3, face: u32, window: DVec3, s: &EmitterSample) -> bool {
+        let n = v.scene().faces[face as usize].normal;
+        let side = if n.dot(origin.as_dvec3() - window) > 0.0 { n } else { -n };
+        v.unoccluded(&v.segment(origin, window, side))
+            && v.unoccluded(&v.segment(v.leave(window, side), s.point, s.normal))
+    }
+}
+
+/// The connection of a receiver with a sampled point, where each faces the other.
+#[inline]
+pub fn connect(point: DVec3, normal: DVec3, sample: &EmitterSample) -> Option<Connection> {
+    let d = sample.point - point;
+    let r2 = d.length_squared();
+    let direction = d / r2.sqrt();
+    let (cos_r, cos_e) = (direction.dot(normal), -direction.dot(sample.normal));
+    if !(cos_r > 0.0 && cos_e > 0.0) {
+        return None;
+    }
+    let density = sample.density * r2 / cos_e;
+    Some(Connection { direction, irradiance: sample.radiance * (cos_r / density), density })
+}
+
+/// Power heuristic (Veach 1997, eq. 9.11): share of the technique with `n` samples of density `p` beside
+/// one with `m` samples of density `q`.
+///
+/// Squares, not the plain balance: emitter samples are far better stratified than the few hemisphere rays that
+/// happen to meet a small emitter, and even a small share of these would bring all their noise.
+#[inline]
+pub fn mis_share(n: f64, p: f64, m: f64, q: f64) -> f64 {
+    if p.is_infinite() {
+        return 1.0;
+    }
+    let (a, b) = (n * p, m * q);
+    a * a / (a * a + b * b)
+}
+
+/// Density of a cosine-weighted direction [sr^-1].
+#[inline]
+pub fn cosine_density(cos: f64) -> f64 {
+    cos.max(0.0) / PI
+}
+
+fn mirror_planes(scene: &Scene) -> (Vec<MirrorPlane>, Vec<u32>) {
+    let mut planes: Vec<MirrorPlane> = Vec::new();
+    let mut of = vec![NONE; scene.faces.len()];
+    for (k, face) in scene.faces.iter().enumerate() {
+        let m = scene.material(face);
+        if m.specular == Rgb::ZERO || m.is_glass() || m.alpha() >= MIRROR_ALPHA || face.normals.is_some() {
+            continue;
+        }
+        let offset = face.normal.dot(scene.corner(face, 0));
+        let same = planes.iter().position(|p| {
+            let c = p.normal.dot(face.normal);
+            c.abs() > 1.0 - 1e-12 && (p.offset - offset * c.signum()).abs() < 1e-9 * scene.radius
+        });
+        let at = same.unwrap_or_else(|| {
+            planes.push(MirrorPlane { normal: face.normal, offset, faces: Vec::new() });
+            planes.len() - 1
+        });
+        planes[at].faces.push(k as u32);
+        of[k] = at as u32;
+        if planes.len() > MAX_MIRRORS {
+            return (Vec::new(), vec![NONE; scene.faces.len()]);
+        }
+    }
+    (planes, of)
+}
+
+/// Whether a face holds a point of its plane.
+fn contains(scene: &Scene, face: u32, p: DVec3) -> bool {
+    let face = &scene.faces[face as usize];
+    let (p0, e1, e2) = scene.face_frame(face);
+    let d = p - p0;
+    let n = e1.cross(e2);
+    let scale = n.length_squared().recip();
+    let (u, v) = (d.cross(e2).dot(n) * scale, e1.cross(d).dot(n) * scale);
+    u >= 0.0 && v >= 0.0 && if face.is_triangle() { u + v <= 1.0 } else { u <= 1.0 && v <= 1.0 }
+}

@@ -1,0 +1,12 @@
+//! Form factors between elements, ordinary and extended.
+
+mod file;
+mod matrix;
+mod raycast;
+mod specular;
+mod table;
+
+pub use matrix::{ExchangeMatrix, RowSummary};
+pub use raycast::{Casting, EmitterIrradiance, cast};
+pub use table::ObjectTable;
+pub use specular::{ChainEnd, Chains, Link, pass_on};

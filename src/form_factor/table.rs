@@ -1,0 +1,69 @@
+//! Form factors between objects, with standard errors.
+
+use super::ExchangeMatrix;
+use crate::color;
+use crate::mesh::Mesh;
+use crate::scene::Scene;
+use serde::Serialize;
+
+/// A full table of form factors between the objects of a scene.
+#[derive(Debug, Clone, Serialize)]
+pub struct ObjectTable {
+    /// Object names in the order of the files.
+    pub objects: Vec<String>,
+    /// Area of each object [m^2].
+    pub areas: Vec<f64>,
+    /// `[a][b]`: factor from a to b.
+    pub form_factors: Vec<Vec<f64>>,
+    /// Standard error of each factor, from the spread of independent randomisations; null where a
+    /// single randomisation gives none.
+    pub standard_errors: Vec<Vec<f64>>,
+    /// Share of each object's rays that left the scene.
+    pub escaped: Vec<f64>,
+    /// Rays an element.
+    pub rays: u32,
+    /// Seconds that the computation took.
+    pub seconds: f64,
+}
+
+impl ObjectTable {
+    /// Sums a matrix over objects: `F_ab = sum over i in a of A_i / A_a sum over j in b of F_ij`.
+    pub fn new(scene: &Scene, mesh: &Mesh, matrix: &ExchangeMatrix, seconds: f64) -> ObjectTable {
+        let n = scene.objects.len();
+        let batches = matrix.batches();
+        let object = |e: usize| scene.faces[mesh.place(e as u32).0 as usize].object as usize;
+        let mut areas = vec![0.0; n];
+        for e in 0..mesh.len() {
+            areas[object(e)] += mesh.area(e as u32);
+        }
+        let mut estimates = vec![vec![vec![0.0; batches]; n]; n];
+        let mut escaped = vec![0.0; n];
+        for e in 0..mesh.len() {
+            let a = object(e);
+            let share = mesh.area(e as u32) / areas[a];
+            escaped[a] += share * color::mean(matrix.summary[e].escaped);
+            for batch in 0..batches {
+                for (j, f) in matrix.batch(e, batch) {
+                    estimates[a][object(j)][batch] += share * color::mean(f) * batches as f64;
+                }
+            }
+        }
+        let statistic = |f: &dyn Fn(&[f64]) -> f64| -> Vec<Vec<f64>> {
+            estimates.iter().map(|row| row.iter().map(|e| f(e)).collect()).collect()
+        };
+        let mean = |e: &[f64]| e.iter().sum::<f64>() / e.len() as f64;
+        ObjectTable {
+            objects: scene.objects.clone(),
+            areas,
+            form_factors: statistic(&mean),
+            standard_errors: statistic(&|e| {
+                let m = mean(e);
+                let spread: f64 = e.iter().map(|x| (x - m) * (x - m)).sum();
+                (spread / (e.len() * (e.len().max(2) - 1)) as f64).sqrt()
+            }),
+            escaped,
+            rays: matrix.rays_per_row,
+            seconds,
+        }
+    }
+}

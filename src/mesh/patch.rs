@@ -1,0 +1,123 @@
+//! Grid nodes shared between the cells of one smooth surface.
+//!
+//! A node is shared by cells of the same patch only: faces that meet along an edge, have the same
+//! material and lie in one plane (or carry equal shading normals along the edge). So a value that
+//! is interpolated between nodes is continuous over the patch and never bleeds over a crease,
+//! between materials or to the far side.
+
+use super::{Mesh, NONE, side_index};
+use crate::scene::{Face, Scene};
+use glam::DVec3;
+use std::collections::HashMap;
+
+/// Cosine of the largest angle between faces of one plane (0.08 degrees).
+const COPLANAR: f64 = 1.0 - 1e-6;
+
+/// Global node numbers of every side that has elements.
+#[derive(Debug, Clone)]
+pub struct Nodes {
+    /// Start of each side's nodes in `ids`, or [`NONE`].
+    first: Vec<u32>,
+    ids: Vec<u32>,
+    count: usize,
+}
+
+impl Nodes {
+    /// Numbers the nodes of a mesh.
+    pub fn new(scene: &Scene, mesh: &Mesh) -> Nodes {
+        let patches = patches(scene);
+        let quantum = 1e-7 * scene.radius.max(f64::MIN_POSITIVE);
+        let mut seen: HashMap<(u32, bool, [i64; 3]), u32> = HashMap::new();
+        let (mut first, mut ids) = (vec![NONE; 2 * scene.faces.len()], Vec::new());
+        for (k, face) in scene.faces.iter().enumerate() {
+            let (p0, e1, e2) = scene.face_frame(face);
+            for front in [true, false] {
+                if mesh.first(k as u32, front) == NONE {
+                    continue;
+                }
+                first[side_index(k as u32, front)] = ids.len() as u32;
+                for uv in mesh.grid(k as u32).node_points() {
+                    let key = (patches[k], front, quantise(p0 + uv.x * e1 + uv.y * e2, quantum));
+                    let next = seen.len() as u32;
+                    ids.push(*seen.entry(key).or_insert(next));
+                }
+            }
+        }
+        Nodes { first, ids, count: seen.len() }
+    }
+
+    /// Number of distinct nodes.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// The node with local index `local` ([`super::Grid::cell_nodes`]) of a side that has elements.
+    #[inline]
+    pub fn id(&self, face: u32, front: bool, local: u32) -> usize {
+        self.ids[(self.first[side_index(face, front)] + local) as usize] as usize
+    }
+}
+
+/// Rounds a position to a lattice; the irrational shift keeps decimal coordinates off its borders.
+fn quantise(p: DVec3, quantum: f64) -> [i64; 3] {
+    let q = p / quantum + DVec3::splat(0.381_966_011_250_105);
+    [q.x.floor() as i64, q.y.floor() as i64, q.z.floor() as i64]
+}
+
+/// A patch number for each face.
+fn patches(scene: &Scene) -> Vec<u32> {
+    let quantum = 1e-7 * scene.radius.max(f64::MIN_POSITIVE);
+    let mut welded: HashMap<[i64; 3], u32> = HashMap::new();
+    let weld: Vec<u32> = scene
+        .vertices
+        .iter()
+        .map(|v| {
+            let next = welded.len() as u32;
+            *welded.entry(quantise(*v, quantum)).or_insert(next)
+        })
+        .collect();
+    let mut parent: Vec<u32> = (0..scene.faces.len() as u32).collect();
+    let mut edges: HashMap<(u32, u32), Vec<(u32, usize)>> = HashMap::new();
+    for (k, face) in scene.faces.iter().enumerate() {
+        let corners = if face.is_triangle() { 3 } else { 4 };
+        for c in 0..corners {
+            let (a, b) = (weld[face.vertices[c] as usize], weld[face.vertices[(c + 1) % corners] as usize]);
+            // Neighbours of one orientation run along their common edge in opposite directions.
+            if let Some(others) = edges.get(&(b, a)) {
+                for &(other, corner) in others {
+                    if continuous(scene, face, c, &scene.faces[other as usize], corner) {
+                        let (x, y) = (find(&mut parent, k as u32), find(&mut parent, other));
+                        parent[x.max(y) as usize] = x.min(y);
+                    }
+                }
+            }
+            edges.entry((a, b)).or_default().push((k as u32, c));
+        }
+    }
+    (0..scene.faces.len() as u32).map(|k| find(&mut parent, k)).collect()
+}
+
+fn find(parent: &mut [u32], mut k: u32) -> u32 {
+    while parent[k as usize] != k {
+        parent[k as usize] = parent[parent[k as usize] as usize];
+        k = parent[k as usize];
+    }
+    k
+}
+
+/// Whether radiosity is continuous from `a` to `b` over the edge that starts at the given corners.
+fn continuous(scene: &Scene, a: &Face, ca: usize, b: &Face, cb: usize) -> bool {
+    if a.material != b.material {
+        return false;
+    }
+    if a.polygon == b.polygon || a.normal.dot(b.normal) > COPLANAR {
+        return true;
+    }
+    let (Some(na), Some(nb)) = (a.normals, b.normals) else { return false };
+    let at = |normals: [u32; 4], face: &Face, c: usize| {
+        let corners = if face.is_triangle() { 3 } else { 4 };
+        scene.normals[normals[c % corners] as usize]
+    };
+    let same = |x: DVec3, y: DVec3| x.dot(y) > 1.0 - 1e-4;
+    a.normal.dot(b.normal) > 0.5 && same(at(na, a, ca), at(nb, b, cb + 1)) && same(at(na, a, ca + 1), at(nb, b, cb))
+}

@@ -1,0 +1,196 @@
+//! The stages in order, as a newcomer would tell them: build the tree, find what light can
+//! reach, divide it into elements, cast form factors, sample the emitters, solve.
+
+use crate::color::Rgb;
+use crate::emitters::Emitters;
+use crate::form_factor::{self, Casting, ExchangeMatrix, pass_on};
+use crate::mesh::{Mesh, default_element_size};
+use crate::radiosity::{self, Solution};
+use crate::scene::{Camera, Features, Scene};
+use crate::visibility::{Visibility, reachable_sides};
+use crate::{Error, Result};
+use serde::Serialize;
+use std::time::Instant;
+
+/// Rays an element where nobody says otherwise.
+pub const DEFAULT_RAYS: u32 = 1024;
+/// Independent randomisations of each row, for standard errors.
+pub const BATCHES: u32 = 4;
+/// Relative residual of the radiosity solve.
+pub const TOLERANCE: f64 = 1e-8;
+
+/// News from a running stage.
+#[derive(Debug, Clone, Copy)]
+pub enum Event {
+    /// A stage begins with this much to do, in its own units.
+    Begin(&'static str, u64),
+    /// So much more is done.
+    Advance(u64),
+    /// The stage is over.
+    End,
+}
+
+/// Who listens to the stages.
+pub type Observer<'a> = &'a (dyn Fn(Event) + Sync);
+
+/// Time and work of one stage.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Stage {
+    /// `load`, `build`, `form-factors`, `solve`, `trace` or `write`.
+    pub name: &'static str,
+    /// Wall time [s].
+    pub seconds: f64,
+    /// Rays cast.
+    pub rays: u64,
+}
+
+/// Runs a stage, tells the observer, and records its time.
+pub fn stage<T>(
+    name: &'static str,
+    total: u64,
+    observer: Observer,
+    stages: &mut Vec<Stage>,
+    work: impl FnOnce() -> (T, u64),
+) -> T {
+    observer(Event::Begin(name, total));
+    let start = Instant::now();
+    let (result, rays) = work();
+    stages.push(Stage { name, seconds: start.elapsed().as_secs_f64(), rays });
+    observer(Event::End);
+    result
+}
+
+/// Settings of pass 1.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Pass1 {
+    /// Rays an element.
+    pub rays: u32,
+    /// Largest element edge [m]; none: from the scene's extent.
+    pub element_size: Option<f64>,
+    /// Seed.
+    pub seed: u32,
+}
+
+impl Pass1 {
+    /// The scene file's defaults.
+    pub fn of(scene: &Scene) -> Pass1 {
+        Pass1 {
+            rays: scene.radiosity.rays.unwrap_or(DEFAULT_RAYS),
+            element_size: scene.radiosity.element_size,
+            seed: 0,
+        }
+    }
+}
+
+/// Residuals that pass 1 reports.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Residuals {
+    /// Largest departure of a row from closure.
+    pub closure: f64,
+    /// Departure from reciprocity between objects.
+    pub reciprocity: f64,
+    /// Share of elements' area that other surfaces cover.
+    pub covered: f64,
+    /// Largest share of a row's weight dropped in chains that were cut.
+    pub dropped: f64,
+}
+
+/// What pass 1 leaves.
+pub struct Pass1Result {
+    /// The solution.
+    pub solution: Solution,
+    /// Residuals of the form factors.
+    pub residuals: Residuals,
+    /// Entries of the matrix.
+    pub stored: usize,
+    /// Bytes of the matrix.
+    pub matrix_bytes: usize,
+    /// What the user should know.
+    pub warnings: Vec<String>,
+}
+
+/// Pass 1: from a scene that is ready for rays to its radiosity.
+pub fn solve(
+    visibility: &Visibility,
+    emitters: &Emitters,
+    cameras: &[Camera],
+    settings: &Pass1,
+    observer: Observer,
+    stages: &mut Vec<Stage>,
+) -> Result<Pass1Result> {
+    let scene = visibility.scene();
+    if emitters.is_empty() && scene.environment == Rgb::ZERO {
+        return Err(Error::scene(
+            scene.path.display().to_string(),
+            "the scene has no light: give a material `emission` (or `Ke` in the MTL) or set [environment] radiance",
+        ));
+    }
+    let size = settings.element_size.unwrap_or_else(|| default_element_size(scene));
+    let frames: Vec<_> = cameras.iter().map(|c| (c.frame(scene), c.size)).collect();
+    let start = Instant::now();
+    let reached = reachable_sides(visibility, &frames, settings.seed);
+    let mesh = Mesh::new(scene, &reached, size, false)?;
+    if let Some(build) = stages.iter_mut().find(|s| s.name == "build") {
+        build.seconds += start.elapsed().as_secs_f64();
+    }
+    let batches = BATCHES.min(settings.rays.max(1));
+    let samples = (settings.rays / 4).div_ceil(batches).max(16);
+    let (matrix, hemisphere, sampled) = stage("form-factors", mesh.len() as u64, observer, stages, || {
+        let casting = Casting {
+            rays: settings.rays,
+            batches,
+            seed: settings.seed,
+            specular: Features::of(scene).specular,
+            reached: Some(&reached),
+            emitters: (!emitters.is_empty()).then_some((emitters, batches * samples)),
+            progress: &|n| observer(Event::Advance(n)),
+        };
+        let (matrix, hemisphere) = form_factor::cast(visibility, &mesh, &casting);
+        let mut rays = matrix.rays;
+        let sampled = if emitters.is_empty() {
+            Vec::new()
+        } else {
+            rays += mesh.len() as u64 * u64::from(batches * samples);
+            let rays_per_row = matrix.rays_per_row;
+            radiosity::sample_emitters(visibility, &mesh, emitters, (batches, samples), rays_per_row, settings.seed)
+        };
+        ((matrix, hemisphere, sampled), rays)
+    });
+    stage("solve", 0, observer, stages, || {
+        (finish(scene, mesh, &matrix, emitters, &hemisphere, &sampled), 0)
+    })
+}
+
+fn finish(
+    scene: &Scene,
+    mesh: Mesh,
+    matrix: &ExchangeMatrix,
+    emitters: &Emitters,
+    hemisphere: &[form_factor::EmitterIrradiance],
+    sampled: &[form_factor::EmitterIrradiance],
+) -> Result<Pass1Result> {
+    let keep = |e: u32| {
+        let material = scene.material(&scene.faces[mesh.place(e).0 as usize]);
+        if material.is_specular() { pass_on(material) } else { Rgb::ZERO }
+    };
+    let area: f64 = (0..mesh.len() as u32).map(|e| mesh.area(e)).sum();
+    let open: f64 = (0..mesh.len()).map(|e| mesh.area(e as u32) * matrix.summary[e].exposed).sum();
+    let residuals = Residuals {
+        closure: matrix.closure_residual(keep),
+        reciprocity: matrix.reciprocity_residual(scene, &mesh),
+        covered: if area > 0.0 { 1.0 - open / area } else { 0.0 },
+        dropped: matrix.summary.iter().map(|s| s.dropped.max_element()).fold(0.0, f64::max),
+    };
+    let mut warnings = Vec::new();
+    if mesh.is_empty() {
+        warnings.push("no diffuse surface can be reached by light or a camera: pass 1 is empty".into());
+    }
+    if residuals.dropped > 1e-3 {
+        warnings.push(format!(
+            "specular chains were cut after their longest: up to {:.2} % of an element's light is missing",
+            100.0 * residuals.dropped
+        ));
+    }
+    let solution = radiosity::solve(scene, mesh, matrix, emitters, hemisphere, sampled, TOLERANCE)?;
+    Ok(Pass1Result { solution, residuals, stored: matrix.stored(), matrix_bytes: matrix.bytes(), warnings })
+}

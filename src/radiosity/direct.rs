@@ -1,0 +1,101 @@
+//! Irradiance on elements from samples of the emitters' areas.
+
+use crate::emitters::{Emitters, Passage, mis_share, connect, cosine_density};
+use crate::embree::ShadowPacket;
+use crate::form_factor::EmitterIrradiance;
+use crate::mesh::Mesh;
+use crate::sampling::{seed_of, sobol};
+use crate::visibility::Visibility;
+use rayon::prelude::*;
+
+/// Samples the emitters from every element: `per_batch` pairs of points for each of `batches`
+/// independent randomisations. Returns irradiance by (element, randomisation) [W m^-2], to be added to
+/// what `rays` hemisphere rays an element found (power heuristic).
+pub fn sample_emitters(
+    visibility: &Visibility,
+    mesh: &Mesh,
+    emitters: &Emitters,
+    (batches, per_batch): (u32, u32),
+    rays: u32,
+    seed: u32,
+) -> Vec<EmitterIrradiance> {
+    (0..mesh.len() as u32)
+        .into_par_iter()
+        .with_min_len(16)
+        .flat_map_iter(|element| {
+            let sampler = Sampler { visibility, mesh, emitters, rays, samples: batches * per_batch, seed };
+            (0..batches).map(move |batch| sampler.batch(element, batch, per_batch))
+        })
+        .collect()
+}
+
+struct Sampler<'a, 's> {
+    visibility: &'a Visibility<'s>,
+    mesh: &'a Mesh,
+    emitters: &'a Emitters,
+    rays: u32,
+    samples: u32,
+    seed: u32,
+}
+
+impl Sampler<'_, '_> {
+    fn batch(&self, element: u32, batch: u32, count: u32) -> EmitterIrradiance {
+        let scene = self.visibility.scene();
+        let (face, _, cell) = self.mesh.place(element);
+        let (p0, e1, e2) = scene.face_frame(&scene.faces[face as usize]);
+        let grid = self.mesh.grid(face);
+        let frame = grid.cell_frame(cell);
+        let normal = self.mesh.normal(scene, element);
+        let seed = seed_of(&[self.seed, element, batch, 0xe817]);
+        let mut sum = EmitterIrradiance::default();
+        let mut packet = ShadowPacket::new();
+        let mut pending = [crate::color::Rgb::ZERO; 16];
+        let mut used = 0;
+        let flush = |packet: &mut ShadowPacket, pending: &[crate::color::Rgb], sum: &mut EmitterIrradiance| {
+            let blocked = self.visibility.occluded16(packet, false);
+            for (k, irradiance) in pending.iter().enumerate() {
+                if blocked >> k & 1 == 0 {
+                    sum.add(Passage::Straight, *irradiance);
+                }
+            }
+            packet.clear();
+        };
+        for k in 0..count {
+            let (p, q) = (sobol(k, 0, seed), sobol(k, 1, seed));
+            let uv = grid.cell_point(&frame, p[0], p[1]);
+            let point = p0 + uv.x * e1 + uv.y * e2;
+            let Some(sample) = self.emitters.sample(scene, [q[0], p[2], p[3]]) else { break };
+            let share = |c: &crate::emitters::Connection| {
+                mis_share(
+                    f64::from(self.samples),
+                    c.density,
+                    f64::from(self.rays),
+                    cosine_density(c.direction.dot(normal)),
+                )
+            };
+            if let Some(c) = connect(point, normal, &sample) {
+                let origin = self.visibility.leave(point, normal);
+                packet.set(used, &self.visibility.segment(origin, sample.point, sample.normal));
+                pending[used] = c.irradiance * share(&c);
+                used += 1;
+                if used == 16 {
+                    flush(&mut packet, &pending, &mut sum);
+                    used = 0;
+                }
+            }
+            if self.emitters.has_images() {
+                let origin = self.visibility.leave(point, normal);
+                self.emitters.images(scene, point, normal, &sample, |mirror, window, c| {
+                    if self.emitters.image_visible(self.visibility, origin, mirror, window, &sample) {
+                        sum.add(Passage::Image, c.irradiance * share(&c));
+                    }
+                });
+            }
+        }
+        if used > 0 {
+            flush(&mut packet, &pending[..used], &mut sum);
+        }
+        let scale = 1.0 / f64::from(count.max(1));
+        EmitterIrradiance { straight: sum.straight * scale, image: sum.image * scale, chain: sum.chain * scale }
+    }
+}

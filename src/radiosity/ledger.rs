@@ -1,0 +1,83 @@
+//! Where the power of a solved scene went.
+
+use crate::color::Rgb;
+use crate::emitters::Emitters;
+use crate::form_factor::ExchangeMatrix;
+use crate::mesh::Mesh;
+use crate::scene::Scene;
+use serde::Serialize;
+use std::f64::consts::PI;
+
+/// Power balance of a solution [W], by channel.
+///
+/// Emitted power either is absorbed by surfaces or escapes. The escaped and the specularly absorbed
+/// parts are counted from the sending elements, the diffusely absorbed part at the receiving ones,
+/// so `residual` measures how well the factors keep reciprocity.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Ledger {
+    /// Leaving emitters.
+    pub emitted: Rgb,
+    /// Arriving from outside.
+    pub environment: Rgb,
+    /// Taken by diffuse surfaces.
+    pub absorbed: Rgb,
+    /// Taken by specular and black surfaces.
+    pub absorbed_specular: Rgb,
+    /// Leaving the scene.
+    pub escaped: Rgb,
+    /// Dropped with specular chains that were cut.
+    pub dropped: Rgb,
+    /// (emitted + environment - absorbed - escaped - dropped) / (emitted + environment).
+    pub residual: Rgb,
+}
+
+impl Ledger {
+    pub(super) fn new(
+        scene: &Scene,
+        mesh: &Mesh,
+        matrix: &ExchangeMatrix,
+        emitters: &Emitters,
+        emitted: &[Rgb],
+        reflected: &[Rgb],
+        irradiance: &[Rgb],
+    ) -> Ledger {
+        let mut sum = Ledger {
+            emitted: Rgb::ZERO,
+            environment: Rgb::ZERO,
+            absorbed: Rgb::ZERO,
+            absorbed_specular: Rgb::ZERO,
+            escaped: Rgb::ZERO,
+            dropped: Rgb::ZERO,
+            residual: Rgb::ZERO,
+        };
+        for (k, face) in scene.faces.iter().enumerate() {
+            for front in [true, false] {
+                if let Some((radiance, _)) = emitters.at(k as u32, front) {
+                    sum.emitted += PI * radiance * face.area;
+                }
+            }
+        }
+        for e in 0..mesh.len() {
+            let s = &matrix.summary[e];
+            let area = mesh.area(e as u32) * s.exposed;
+            let material = scene.material(&scene.faces[mesh.place(e as u32).0 as usize]);
+            let lost = Rgb::ONE
+                - material.diffuse
+                - material.diffuse_transmission
+                - crate::form_factor::pass_on(material) * f64::from(u8::from(material.is_specular()));
+            sum.absorbed += area * irradiance[e] * lost;
+            let leaving = area * (emitted[e] + reflected[e]);
+            sum.absorbed_specular += leaving * s.absorbed;
+            sum.escaped += leaving * s.escaped;
+            sum.dropped += leaving * s.dropped;
+            sum.environment += area * s.escaped * scene.environment * PI;
+        }
+        let input = sum.emitted + sum.environment;
+        let output = sum.absorbed + sum.absorbed_specular + sum.escaped + sum.dropped;
+        let ratio = |a: f64, b: f64| if b > 0.0 { a / b } else { 0.0 };
+        let difference = input - output;
+        sum.residual =
+            Rgb::new(ratio(difference.x, input.x), ratio(difference.y, input.y), ratio(difference.z, input.z));
+        sum
+    }
+}

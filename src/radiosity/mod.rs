@@ -1,0 +1,246 @@
+//! Pass 1: the diffuse light of the whole scene, independent of any view.
+
+mod direct;
+mod file;
+mod ledger;
+mod reconstruct;
+mod solve;
+
+pub use direct::sample_emitters;
+pub use ledger::Ledger;
+pub use reconstruct::Field;
+pub use solve::{Convergence, solve_reflected};
+
+use crate::color::Rgb;
+use crate::emitters::Emitters;
+use crate::form_factor::{EmitterIrradiance, ExchangeMatrix};
+use crate::mesh::{Mesh, NONE, Nodes};
+use crate::scene::Scene;
+use std::f64::consts::PI;
+
+/// The solved radiosity of a scene; every vector holds one value an element.
+#[derive(Debug, Clone)]
+pub struct Solution {
+    /// The elements.
+    pub mesh: Mesh,
+    /// Their shared nodes.
+    pub nodes: Nodes,
+    /// Radiosity, emission included [W m^-2].
+    pub radiosity: Vec<Rgb>,
+    /// Emitted radiosity [W m^-2].
+    pub emitted: Vec<Rgb>,
+    /// Irradiance [W m^-2].
+    pub irradiance: Vec<Rgb>,
+    /// Radiosity reflected and transmitted from light that came straight from emitters [W m^-2].
+    pub direct: Vec<Rgb>,
+    /// Standard error of `radiosity` [W m^-2].
+    pub standard_error: Vec<Rgb>,
+    /// Where the power went.
+    pub ledger: Ledger,
+    /// How the solve went.
+    pub convergence: Convergence,
+    /// Reflected radiosity (emission left out) on the nodes.
+    pub reflected: Field,
+    /// The part of `reflected` that pass 2 does not sample anew from emitters and their mirror images.
+    pub indirect: Field,
+    /// The part of `reflected` from emitters by specular chains that pass 2 cannot sample; none
+    /// where the scene has no such chains.
+    pub caustic: Option<Field>,
+}
+
+impl Solution {
+    /// Reflected and transmitted radiosity of an element, emission left out [W m^-2].
+    pub fn reflected_radiosity(&self, element: usize) -> Rgb {
+        self.radiosity[element] - self.emitted[element]
+    }
+}
+
+/// Irradiance on an element from each kind of source [W m^-2].
+#[derive(Debug, Clone, Copy, Default)]
+struct Sources {
+    emitters: EmitterIrradiance,
+    environment: Rgb,
+}
+
+impl Sources {
+    fn total(&self) -> Rgb {
+        self.emitters.straight + self.emitters.image + self.emitters.chain + self.environment
+    }
+}
+
+/// Solves for the radiosity of every element.
+///
+/// `hemisphere` and `sampled` hold the emitters' irradiance by (row, randomisation), from the rays of
+/// the matrix and from the emitters' own samples; both empty where there is no emitter.
+pub fn solve(
+    scene: &Scene,
+    mesh: Mesh,
+    matrix: &ExchangeMatrix,
+    emitters: &Emitters,
+    hemisphere: &[EmitterIrradiance],
+    sampled: &[EmitterIrradiance],
+    tolerance: f64,
+) -> crate::Result<Solution> {
+    let n = mesh.len();
+    let batches = matrix.batches();
+    let opposite: Vec<u32> = if scene.materials.iter().any(|m| m.is_translucent()) {
+        (0..n as u32).map(|e| mesh.opposite(e)).collect()
+    } else {
+        vec![NONE; n]
+    };
+    let transport = Transport::new(scene, &mesh, opposite);
+    let by_batch = |row: usize, batch: usize| -> EmitterIrradiance {
+        let mut sum = EmitterIrradiance::default();
+        for part in [hemisphere, sampled] {
+            if let Some(e) = part.get(row * batches + batch) {
+                sum += *e;
+            }
+        }
+        // Means over the open part of the element: covered parts receive nothing and are not seen.
+        let open = matrix.summary[row].exposed;
+        let scale = if open > 0.0 { 1.0 / open } else { 0.0 };
+        EmitterIrradiance { straight: sum.straight * scale, image: sum.image * scale, chain: sum.chain * scale }
+    };
+    let sources: Vec<Sources> = (0..n)
+        .map(|row| {
+            let mut emitters = EmitterIrradiance::default();
+            for batch in 0..batches {
+                emitters += by_batch(row, batch);
+            }
+            let scale = 1.0 / batches as f64;
+            emitters.straight *= scale;
+            emitters.image *= scale;
+            emitters.chain *= scale;
+            Sources { emitters, environment: matrix.summary[row].escaped * scene.environment * PI }
+        })
+        .collect();
+    let incident: Vec<Rgb> = sources.iter().map(Sources::total).collect();
+    let (reflected, convergence) = solve_reflected(matrix, &transport, &incident, tolerance)?;
+
+    let exchanged = matrix.multiply(&reflected);
+    let irradiance: Vec<Rgb> = incident.iter().zip(&exchanged).map(|(a, b)| *a + *b).collect();
+    let standard_error = standard_errors(matrix, &transport, &reflected, |row, batch| {
+        let e = by_batch(row, batch);
+        e.straight + e.image + e.chain
+    });
+    let emitted: Vec<Rgb> = (0..n as u32)
+        .map(|e| {
+            let (face, front, _) = mesh.place(e);
+            emitters.at(face, front).map_or(Rgb::ZERO, |(radiance, _)| PI * radiance)
+        })
+        .collect();
+    let part = |f: &dyn Fn(&Sources) -> Rgb| -> Vec<Rgb> {
+        let h: Vec<Rgb> = sources.iter().map(f).collect();
+        transport.reflect(&h)
+    };
+    let direct = part(&|s| s.emitters.straight);
+    let image = part(&|s| s.emitters.image);
+    let chain = part(&|s| s.emitters.chain);
+    let indirect: Vec<Rgb> = (0..n).map(|e| reflected[e] - direct[e] - image[e]).collect();
+    let nodes = Nodes::new(scene, &mesh);
+    let open: Vec<f64> = matrix.summary.iter().map(|s| s.exposed).collect();
+    let field = |values: &[Rgb]| Field::new(&mesh, &nodes, &open, values);
+    let has_caustic = chain.iter().any(|c| c.max_element() > 0.0);
+    Ok(Solution {
+        ledger: Ledger::new(scene, &mesh, matrix, emitters, &emitted, &reflected, &irradiance),
+        radiosity: emitted.iter().zip(&reflected).map(|(e, r)| *e + *r).collect(),
+        reflected: field(&reflected),
+        indirect: field(&indirect),
+        caustic: has_caustic.then(|| field(&chain)),
+        emitted,
+        irradiance,
+        direct,
+        standard_error,
+        convergence,
+        nodes,
+        mesh,
+    })
+}
+
+/// Diffuse reflection and transmission at the elements.
+#[derive(Debug, Clone)]
+pub struct Transport {
+    /// Diffuse albedo of each element.
+    pub reflectance: Vec<Rgb>,
+    /// Diffuse transmittance of each element.
+    pub transmittance: Vec<Rgb>,
+    /// The element on the other side, or [`NONE`]; asked for only where something is translucent.
+    opposite: Vec<u32>,
+}
+
+impl Transport {
+    fn new(scene: &Scene, mesh: &Mesh, opposite: Vec<u32>) -> Transport {
+        let material = |e: u32| scene.material(&scene.faces[mesh.place(e).0 as usize]);
+        let n = mesh.len() as u32;
+        Transport {
+            reflectance: (0..n).map(|e| material(e).diffuse).collect(),
+            transmittance: (0..n).map(|e| material(e).diffuse_transmission).collect(),
+            opposite,
+        }
+    }
+
+    /// `rho_i H_i + tau_i H'_i` of every element.
+    pub fn reflect(&self, irradiance: &[Rgb]) -> Vec<Rgb> {
+        (0..irradiance.len())
+            .map(|e| {
+                let behind = match self.opposite[e] {
+                    NONE => Rgb::ZERO,
+                    o => irradiance[o as usize],
+                };
+                self.reflectance[e] * irradiance[e] + self.transmittance[e] * behind
+            })
+            .collect()
+    }
+
+    /// Largest sum of reflectance and transmittance in any channel.
+    pub fn largest(&self) -> f64 {
+        self.reflectance.iter().zip(&self.transmittance).map(|(r, t)| (*r + *t).max_element()).fold(0.0, f64::max)
+    }
+}
+
+/// Standard error of each element's radiosity from the spread of its randomisations: its own
+/// gathering, and in first order that of the elements it gathers from.
+fn standard_errors(
+    matrix: &ExchangeMatrix,
+    transport: &Transport,
+    reflected: &[Rgb],
+    emitted: impl Fn(usize, usize) -> Rgb + Sync,
+) -> Vec<Rgb> {
+    use rayon::prelude::*;
+    let batches = matrix.batches();
+    if batches < 2 {
+        return vec![Rgb::NAN; matrix.len()];
+    }
+    let own: Vec<Rgb> = (0..matrix.len())
+        .into_par_iter()
+        .with_min_len(64)
+        .map(|row| {
+            let estimates = matrix.multiply_batches(row, reflected);
+            let total: Vec<Rgb> = estimates.iter().enumerate().map(|(b, e)| *e + emitted(row, b)).collect();
+            let mean = total.iter().sum::<Rgb>() / batches as f64;
+            let spread = total.iter().map(|t| (*t - mean) * (*t - mean)).sum::<Rgb>();
+            spread / (batches * (batches - 1)) as f64
+        })
+        .collect();
+    let variance_of = |h: &[Rgb]| -> Vec<Rgb> {
+        (0..h.len())
+            .map(|e| {
+                let behind = match transport.opposite[e] {
+                    NONE => Rgb::ZERO,
+                    o => h[o as usize],
+                };
+                let (r, t) = (transport.reflectance[e], transport.transmittance[e]);
+                r * r * h[e] + t * t * behind
+            })
+            .collect()
+    };
+    let first = variance_of(&own);
+    // Errors of the elements gathered from are independent of each other: variances add with F^2.
+    let inherited: Vec<Rgb> = (0..matrix.len())
+        .into_par_iter()
+        .with_min_len(64)
+        .map(|row| matrix.row(row).map(|(j, f)| f * f * first[j]).sum())
+        .collect();
+    let second = variance_of(&inherited);
+    first.iter().zip(&second).map(|(a, b)| (*a + *b).map(f64::sqrt)).collect()
+}

@@ -1,0 +1,88 @@
+//! From one value an element to a value at every point.
+//!
+//! Values are brought to the nodes that cells of one patch share, and interpolated between them:
+//! bilinear on parallelograms, linear on triangles. So the result is continuous over each patch
+//! and never mixes patches (see [`Nodes`]).
+
+use crate::color::Rgb;
+use crate::mesh::{Mesh, NONE, Nodes};
+
+/// Times that the nodes are corrected so that cells keep their means: plain averages flatten
+/// gradients at the borders of a patch.
+const CORRECTIONS: usize = 2;
+
+/// A quantity on the nodes.
+#[derive(Debug, Clone)]
+pub struct Field {
+    nodes: Vec<[f32; 3]>,
+}
+
+impl Field {
+    /// Brings one value an element to the nodes; `open` is each element's uncovered share, its weight.
+    /// Nodes never go below zero nor beyond the values of the cells around them by more than these differ.
+    pub fn new(mesh: &Mesh, nodes: &Nodes, open: &[f64], values: &[Rgb]) -> Field {
+        let corners: Vec<([usize; 4], f64)> = (0..mesh.len() as u32)
+            .map(|e| {
+                let (face, front, cell) = mesh.place(e);
+                let grid = mesh.grid(face);
+                let ids = grid.cell_nodes(cell).map(|k| nodes.id(face, front, k));
+                (ids, if grid.triangle { 3.0 } else { 4.0 })
+            })
+            .collect();
+        let mut weight = vec![0.0; nodes.count()];
+        let mut low = vec![Rgb::INFINITY; nodes.count()];
+        let mut high = vec![Rgb::ZERO; nodes.count()];
+        for (e, (ids, count)) in corners.iter().enumerate().filter(|(e, _)| open[*e] > 0.0) {
+            for &id in &ids[..*count as usize] {
+                weight[id] += open[e];
+                low[id] = low[id].min(values[e]);
+                high[id] = high[id].max(values[e]);
+            }
+        }
+        let spread = |per_element: &dyn Fn(usize) -> Rgb| -> Vec<Rgb> {
+            let mut sum = vec![Rgb::ZERO; nodes.count()];
+            for (e, (ids, count)) in corners.iter().enumerate().filter(|(e, _)| open[*e] > 0.0) {
+                let v = per_element(e) * open[e];
+                for &id in &ids[..*count as usize] {
+                    sum[id] += v;
+                }
+            }
+            for (s, w) in sum.iter_mut().zip(&weight) {
+                *s = if *w > 0.0 { *s / *w } else { Rgb::ZERO };
+            }
+            sum
+        };
+        let mut field = spread(&|e| values[e]);
+        for _ in 0..CORRECTIONS {
+            let missing = spread(&|e| {
+                let (ids, count) = &corners[e];
+                values[e] - ids[..*count as usize].iter().map(|&id| field[id]).sum::<Rgb>() / *count
+            });
+            for (k, v) in field.iter_mut().enumerate().filter(|(k, _)| weight[*k] > 0.0) {
+                let margin = high[k] - low[k];
+                *v = (*v + missing[k]).clamp((low[k] - margin).max(Rgb::ZERO), high[k] + margin);
+            }
+        }
+        Field { nodes: field.iter().map(|v| v.as_vec3().to_array()).collect() }
+    }
+
+    /// The value at (u, v) of a side; none where the side has no elements.
+    #[inline]
+    pub fn at(&self, mesh: &Mesh, nodes: &Nodes, (face, front): (u32, bool), u: f32, v: f32) -> Option<Rgb> {
+        if mesh.first(face, front) == NONE {
+            return None;
+        }
+        let grid = mesh.grid(face);
+        let cell = grid.cell(u, v);
+        let ids = grid.cell_nodes(cell).map(|k| nodes.id(face, front, k));
+        let (origin, a, b) = grid.cell_frame(cell);
+        let s = ((f64::from(u) - origin.x) / a.x).clamp(0.0, 1.0);
+        let t = ((f64::from(v) - origin.y) / b.y).clamp(0.0, 1.0);
+        let value = |k: usize| Rgb::from(self.nodes[ids[k]].map(f64::from));
+        Some(if grid.triangle {
+            value(0) * (1.0 - s - t) + value(1) * s + value(2) * t
+        } else {
+            (value(0) * (1.0 - s) + value(1) * s) * (1.0 - t) + (value(3) * (1.0 - s) + value(2) * s) * t
+        })
+    }
+}

@@ -1,0 +1,185 @@
+//! What a run did, as data: the `--report` file (DESIGN section 6).
+
+use crate::pipeline::{Pass1, Pass1Result, Residuals, Stage};
+use crate::radiosity::Ledger;
+use crate::scene::{Features, Scene};
+use crate::{Error, Result};
+use serde::Serialize;
+use std::path::Path;
+
+/// Versions of what ran.
+#[derive(Debug, Clone, Serialize)]
+pub struct Versions {
+    /// This program.
+    pub twopass: &'static str,
+    /// Embree.
+    pub embree: String,
+    /// OpenImageIO.
+    pub openimageio: String,
+}
+
+impl Versions {
+    /// The versions that run now.
+    pub fn new(device: &crate::embree::Device) -> Versions {
+        Versions {
+            twopass: env!("CARGO_PKG_VERSION"),
+            embree: device.version(),
+            openimageio: crate::image::version(),
+        }
+    }
+}
+
+/// Summary of the standard errors of the elements' radiosity.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct StandardErrors {
+    /// Root mean square over the elements, weighted by area, over the area-weighted mean of the reflected radiosity.
+    pub relative_rms: f64,
+    /// Largest [W m^-2].
+    pub largest: f64,
+}
+
+/// Pass 1 in numbers.
+#[derive(Debug, Clone, Serialize)]
+pub struct Pass1Report {
+    /// What was asked for.
+    pub settings: Pass1,
+    /// Largest element edge used [m].
+    pub element_size: f64,
+    /// Elements.
+    pub elements: usize,
+    /// Entries of the matrix.
+    pub stored_factors: usize,
+    /// Bytes of the matrix.
+    pub matrix_bytes: usize,
+    /// Closure, reciprocity and the like.
+    pub residuals: Residuals,
+    /// Power balance [W].
+    pub energy: Ledger,
+    /// Multiplications with the matrix.
+    pub iterations: usize,
+    /// Relative residual of the solve.
+    pub solve_residual: f64,
+    /// Standard errors.
+    pub standard_errors: StandardErrors,
+}
+
+impl Pass1Report {
+    /// Collects the numbers of a solve.
+    pub fn new(settings: &Pass1, result: &Pass1Result) -> Pass1Report {
+        let s = &result.solution;
+        let area = |e: usize| s.mesh.area(e as u32);
+        let (mut square, mut mean, mut total, mut largest) = (0.0, 0.0, 0.0, 0.0f64);
+        for e in 0..s.mesh.len() {
+            let error = s.standard_error[e];
+            square += area(e) * error.length_squared() / 3.0;
+            mean += area(e) * crate::color::mean(s.irradiance[e] * albedo(s, e));
+            total += area(e);
+            largest = largest.max(error.max_element());
+        }
+        let relative_rms = if mean > 0.0 { (square / total).sqrt() / (mean / total) } else { 0.0 };
+        Pass1Report {
+            settings: *settings,
+            element_size: s.mesh.element_size,
+            elements: s.mesh.len(),
+            stored_factors: result.stored,
+            matrix_bytes: result.matrix_bytes,
+            residuals: result.residuals,
+            energy: s.ledger,
+            iterations: s.convergence.iterations,
+            solve_residual: s.convergence.residual,
+            standard_errors: StandardErrors { relative_rms, largest },
+        }
+    }
+}
+
+/// Reflected radiosity over irradiance, where there is any.
+fn albedo(s: &crate::radiosity::Solution, e: usize) -> crate::color::Rgb {
+    let ratio = |b: f64, h: f64| if h > 0.0 { b / h } else { 0.0 };
+    let (r, h) = (s.reflected_radiosity(e), s.irradiance[e]);
+    crate::color::Rgb::new(ratio(r.x, h.x), ratio(r.y, h.y), ratio(r.z, h.z))
+}
+
+/// The whole report.
+#[derive(Debug, Clone, Serialize)]
+pub struct Report {
+    /// The command line.
+    pub command: Vec<String>,
+    /// The scene file.
+    pub scene: String,
+    /// Versions.
+    pub versions: Versions,
+    /// Threads used.
+    pub threads: usize,
+    /// Seed.
+    pub seed: u32,
+    /// Input polygons.
+    pub polygons: usize,
+    /// Faces that Embree holds.
+    pub faces: usize,
+    /// Elements of pass 1; 0 without it.
+    pub elements: usize,
+    /// What the scene needs.
+    pub features: Features,
+    /// Stages in order.
+    pub stages: Vec<Stage>,
+    /// Rays a second over the form-factor and trace stages.
+    pub rays_per_second: f64,
+    /// Pass 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pass1: Option<Pass1Report>,
+    /// Most memory held at once.
+    pub peak_memory_bytes: u64,
+    /// Warnings.
+    pub warnings: Vec<String>,
+}
+
+impl Report {
+    /// A report without pass 1.
+    pub fn new(scene: &Scene, versions: Versions, seed: u32, stages: Vec<Stage>, warnings: Vec<String>) -> Report {
+        let (rays, seconds) = stages.iter().filter(|s| s.rays > 0).fold((0, 0.0), |(r, t), s| (r + s.rays, t + s.seconds));
+        Report {
+            command: std::env::args().collect(),
+            scene: scene.path.display().to_string(),
+            versions,
+            threads: rayon::current_num_threads(),
+            seed,
+            polygons: scene.polygon_count,
+            faces: scene.faces.len(),
+            elements: 0,
+            features: Features::of(scene),
+            stages,
+            rays_per_second: if seconds > 0.0 { rays as f64 / seconds } else { 0.0 },
+            pass1: None,
+            peak_memory_bytes: peak_memory(),
+            warnings,
+        }
+    }
+
+    /// Writes the report as JSON, whole or not at all.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let text = serde_json::to_string_pretty(self)
+            .map_err(|e| Error::Parse { path: path.into(), line: None, message: e.to_string() })?;
+        write_whole(path, format!("{text}\n").as_bytes())
+    }
+}
+
+/// Writes a file beside its name and renames it: the file either is whole or does not exist.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
+    let mut name = path.file_name().unwrap_or_default().to_os_string();
+    name.push(format!(".{}.partial", std::process::id()));
+    let temporary = path.with_file_name(name);
+    let written = std::fs::write(&temporary, bytes).and_then(|()| std::fs::rename(&temporary, path));
+    written.map_err(|e| {
+        // Nothing to remove where the directory itself is missing.
+        let _ = std::fs::remove_file(&temporary);
+        Error::io(path, e)
+    })
+}
+
+/// Peak resident memory of this process [bytes]; 0 where the system does not say.
+pub fn peak_memory() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"));
+    let kib = line.and_then(|l| l.trim().trim_end_matches("kB").trim().parse::<u64>().ok());
+    kib.unwrap_or(0) * 1024
+}

@@ -1,0 +1,179 @@
+//! Low-discrepancy points and the maps from the unit square to areas and directions.
+//!
+//! The points are Sobol's with hash-based Owen scrambling (Burley 2020) from `sobol_burley`.
+
+use glam::{DVec2, DVec3};
+use sobol_burley::parts;
+
+/// Longest sequence that `sobol_burley` holds; longer runs use several randomisations.
+pub const MAX_POINTS: u32 = 1 << 16;
+
+/// Mixes integers to a well-distributed 32-bit seed (PCG-style avalanche).
+pub fn seed_of(parts: &[u32]) -> u32 {
+    let mut h = 0x9e37_79b9u32;
+    for &p in parts {
+        h ^= p.wrapping_mul(0x85eb_ca6b);
+        h = (h ^ (h >> 16)).wrapping_mul(0x7feb_352d);
+        h = (h ^ (h >> 15)).wrapping_mul(0x846c_a68b);
+        h ^= h >> 16;
+    }
+    h
+}
+
+/// Four dimensions of point `index` (below [`MAX_POINTS`]) of the sequence with this seed, in [0, 1).
+#[inline]
+pub fn sobol(index: u32, set: u32, seed: u32) -> [f64; 4] {
+    sobol_burley::sample_4d(index % MAX_POINTS, set, seed).map(f64::from)
+}
+
+/// The first `n` Sobol points in four dimensions, before scrambling, in an order in which
+/// neighbours share an elementary interval of dimensions 2 and 3 (the direction).
+///
+/// Owen scrambling permutes elementary intervals as a whole, so the order sorts the scrambled
+/// points of every seed too: 16 consecutive points lie within a fraction 16/n of the square.
+pub struct SobolTable {
+    points: Vec<parts::Int4>,
+}
+
+impl SobolTable {
+    /// The first `n` points, 1 <= n <= [`MAX_POINTS`].
+    pub fn new(n: u32) -> SobolTable {
+        let n = n.clamp(1, MAX_POINTS);
+        let mut order: Vec<(u64, u32)> = (0..n)
+            .map(|i| {
+                let bits = |d: u32| parts::sobol_rev(i.reverse_bits(), d).reverse_bits();
+                (interleave(bits(2)) << 1 | interleave(bits(3)), i)
+            })
+            .collect();
+        order.sort_unstable();
+        SobolTable { points: order.iter().map(|&(_, i)| parts::sobol_int4_rev(i.reverse_bits(), 0)).collect() }
+    }
+
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.points.len()
+    }
+
+    /// Never true: a table holds at least one point.
+    pub fn is_empty(&self) -> bool {
+        self.points.is_empty()
+    }
+
+    /// Point `k` under one scrambling: [0, 1)^4.
+    #[inline]
+    pub fn point(&self, k: usize, scramble: &Scramble) -> [f32; 4] {
+        parts::owen_scramble_int4_rev(self.points[k], scramble.0).reverse_bits().to_f32_norm()
+    }
+}
+
+/// One Owen scrambling of a [`SobolTable`]: independent seeds give independent randomisations.
+pub struct Scramble(parts::Int4);
+
+impl Scramble {
+    /// The scrambling with this seed, different in each of the four dimensions.
+    pub fn new(seed: u32) -> Scramble {
+        let lane = |k: u32| seed_of(&[seed, k]);
+        Scramble([lane(0), lane(1), lane(2), lane(3)].into())
+    }
+}
+
+/// Spreads the upper 32 bits so that two values can be interleaved, most significant bit first.
+fn interleave(v: u32) -> u64 {
+    let mut x = u64::from(v);
+    for (shift, mask) in [
+        (16, 0x0000_ffff_0000_ffff),
+        (8, 0x00ff_00ff_00ff_00ff),
+        (4, 0x0f0f_0f0f_0f0f_0f0f),
+        (2, 0x3333_3333_3333_3333),
+        (1, 0x5555_5555_5555_5555),
+    ] {
+        x = (x | (x << shift)) & mask;
+    }
+    x
+}
+
+/// Unit square to unit disc, area-preserving (Shirley and Chiu 1997).
+pub fn concentric_disc(u: f64, v: f64) -> DVec2 {
+    let (a, b) = (2.0 * u - 1.0, 2.0 * v - 1.0);
+    if a == 0.0 && b == 0.0 {
+        return DVec2::ZERO;
+    }
+    use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
+    let (r, phi) = if a.abs() > b.abs() { (a, FRAC_PI_4 * (b / a)) } else { (b, FRAC_PI_2 - FRAC_PI_4 * (a / b)) };
+    DVec2::new(r * phi.cos(), r * phi.sin())
+}
+
+/// Unit square to the cosine-weighted hemisphere about +z; density cos(theta) / pi.
+pub fn cosine_hemisphere(u: f64, v: f64) -> DVec3 {
+    let d = concentric_disc(u, v);
+    DVec3::new(d.x, d.y, (1.0 - d.length_squared()).max(0.0).sqrt())
+}
+
+/// Unit square to the triangle s, t >= 0, s + t <= 1, area-preserving (Heitz 2019).
+#[inline]
+pub fn triangle(u: f64, v: f64) -> (f64, f64) {
+    if v > u {
+        let s = u * 0.5;
+        (s, v - s)
+    } else {
+        let t = v * 0.5;
+        (u - t, t)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn table_holds_a_net_sorted_by_direction() {
+        let table = SobolTable::new(256);
+        for seed in [1, 77, 12345] {
+            let scramble = Scramble::new(seed);
+            let mut cells = [0; 256];
+            for k in 0..256 {
+                let p = table.point(k, &scramble);
+                assert!(p.iter().all(|x| (0.0..1.0).contains(x)));
+                // Dimensions 0 and 1 form a (0, 8, 2)-net: one point in each 1/16 x 1/16 cell.
+                cells[(p[0] * 16.0) as usize * 16 + (p[1] * 16.0) as usize] += 1;
+            }
+            assert_eq!(cells, [1; 256]);
+            // Sixteen neighbours stay within one elementary interval of the direction.
+            for block in 0..16 {
+                let cell = |k: usize| {
+                    let p = table.point(block * 16 + k, &scramble);
+                    ((p[2] * 4.0) as u32, (p[3] * 4.0) as u32)
+                };
+                assert!((1..16).all(|k| cell(k) == cell(0)), "block {block}");
+            }
+        }
+    }
+
+    #[test]
+    fn hemisphere_has_the_cosine_moments() {
+        let (n, mut mean, mut second) = (4096u32, DVec3::ZERO, 0.0);
+        for i in 0..n {
+            let p = sobol(i, 0, 5);
+            let w = cosine_hemisphere(p[0], p[1]);
+            assert!((w.length() - 1.0).abs() < 1e-12 && w.z >= 0.0);
+            mean += w / f64::from(n);
+            second += w.z * w.z / f64::from(n);
+        }
+        assert!((mean.z - 2.0 / 3.0).abs() < 1e-3 && mean.x.abs() < 1e-3 && mean.y.abs() < 1e-3);
+        assert!((second - 0.5).abs() < 1e-3);
+    }
+
+    #[test]
+    fn triangle_map_is_uniform() {
+        let n = 64;
+        let (mut ms, mut mt) = (0.0, 0.0);
+        for i in 0..n * n {
+            let (s, t) = triangle(((i % n) as f64 + 0.5) / n as f64, ((i / n) as f64 + 0.5) / n as f64);
+            assert!(s >= 0.0 && t >= 0.0 && s + t <= 1.0);
+            ms += s;
+            mt += t;
+        }
+        let scale = 1.0 / (n * n) as f64;
+        assert!((ms * scale - 1.0 / 3.0).abs() < 1e-3 && (mt * scale - 1.0 / 3.0).abs() < 1e-3);
+    }
+}

@@ -1,0 +1,186 @@
+//! Every visibility question: the only caller of Embree, and the one place that decides how far a
+//! ray starts from its surface.
+//!
+//! **Ray offset.** Points on faces are computed in f64, moved off the face along its geometric
+//! normal by [`OFFSET`] of the scene's radius, and only then rounded to f32. Coordinates are
+//! relative to the scene's centre, so rounding moves a point by at most 6e-8 of the radius: the
+//! offset is 17 times larger, enough that the origin lies on the right side of its own face, and
+//! small enough to keep contact shadows. A flat face cannot be hit by a ray that leaves it, so a
+//! hit on the ray's own face is a rounding error and the ray goes on behind it.
+
+mod reach;
+
+pub use reach::reachable_sides;
+
+use crate::Result;
+use crate::embree::{CommittedScene, Device, Ray, RayPacket, ShadowPacket};
+use crate::scene::{Face, Scene};
+use glam::{DVec3, Vec3};
+
+/// Distance of a ray's origin from its face, as a share of the scene's radius.
+pub const OFFSET: f64 = 1e-6;
+
+/// A ray's meeting with a face.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SurfaceHit {
+    /// The face.
+    pub face: u32,
+    /// First coordinate on the face.
+    pub u: f32,
+    /// Second coordinate on the face.
+    pub v: f32,
+    /// The ray came to the front of the face.
+    pub front: bool,
+}
+
+/// A point of a surface, seen from one side.
+#[derive(Debug, Clone, Copy)]
+pub struct SurfacePoint {
+    /// The face.
+    pub face: u32,
+    /// First coordinate on the face.
+    pub u: f32,
+    /// Second coordinate on the face.
+    pub v: f32,
+    /// Seen from the front.
+    pub front: bool,
+    /// Position [m, relative to the scene's centre].
+    pub point: DVec3,
+    /// Unit geometric normal, towards the side it is seen from.
+    pub geometric: DVec3,
+    /// Unit shading normal, towards the same side.
+    pub shading: DVec3,
+}
+
+/// A scene ready for ray tracing.
+pub struct Visibility<'s> {
+    scene: &'s Scene,
+    embree: CommittedScene,
+    normals: Vec<Vec3>,
+    offset: f64,
+}
+
+impl<'s> Visibility<'s> {
+    /// Hands the faces to Embree and builds its tree.
+    pub fn new(device: &Device, scene: &'s Scene) -> Result<Visibility<'s>> {
+        let vertices: Vec<[f32; 3]> = scene.vertices.iter().map(|v| v.as_vec3().to_array()).collect();
+        let (triangles, quads) = scene.faces.split_at(scene.triangle_count);
+        let triangles: Vec<[u32; 3]> = triangles.iter().map(|f| [f.vertices[0], f.vertices[1], f.vertices[2]]).collect();
+        let quads: Vec<[u32; 4]> = quads.iter().map(|f| f.vertices).collect();
+        let embree = CommittedScene::new(device, &vertices, &triangles, &quads)?;
+        let normals = scene.faces.iter().map(|f| f.normal.as_vec3()).collect();
+        Ok(Visibility { scene, embree, normals, offset: OFFSET * scene.radius })
+    }
+
+    /// The scene that rays are cast into.
+    pub fn scene(&self) -> &'s Scene {
+        self.scene
+    }
+
+    /// Embree's scene, for measurements of its raw speed.
+    pub fn embree(&self) -> &CommittedScene {
+        &self.embree
+    }
+
+    /// Where a ray starts that leaves `point` to the side that `normal` points to.
+    #[inline]
+    pub fn leave(&self, point: DVec3, normal: DVec3) -> Vec3 {
+        (point + self.offset * normal).as_vec3()
+    }
+
+    /// First face along a ray that left face `from`.
+    #[inline]
+    pub fn closest(&self, origin: Vec3, direction: Vec3, from: u32) -> Option<SurfaceHit> {
+        let mut ray = Ray::new(origin, direction);
+        loop {
+            let hit = self.embree.intersect(&ray)?;
+            if hit.face != from {
+                return Some(self.side(hit, direction));
+            }
+            // Always moves on: the next f32 above t at least.
+            ray.tnear = (hit.t + self.offset as f32).max(hit.t.next_up());
+        }
+    }
+
+    /// Resolves a lane of a traced packet.
+    #[inline]
+    pub fn lane(&self, packet: &RayPacket, lane: usize, origin: Vec3, direction: Vec3, from: u32) -> Option<SurfaceHit> {
+        let hit = packet.hit(lane)?;
+        if hit.face == from {
+            return self.closest(origin, direction, from);
+        }
+        Some(self.side(hit, direction))
+    }
+
+    #[inline]
+    fn side(&self, hit: crate::embree::Hit, direction: Vec3) -> SurfaceHit {
+        let front = self.normals[hit.face as usize].dot(direction) < 0.0;
+        SurfaceHit { face: hit.face, u: hit.u, v: hit.v, front }
+    }
+
+    /// Traces a packet.
+    #[inline]
+    pub fn closest16(&self, packet: &mut RayPacket, coherent: bool) {
+        self.embree.intersect16(packet, coherent);
+    }
+
+    /// The ray from `origin` to `target`, a point on a surface that `normal` points away from:
+    /// unoccluded if nothing lies between.
+    #[inline]
+    pub fn segment(&self, origin: Vec3, target: DVec3, normal: DVec3) -> Ray {
+        let d = self.leave(target, normal) - origin;
+        let length = d.length();
+        Ray::segment(origin, d / length, length)
+    }
+
+    /// Whether nothing lies on a segment.
+    #[inline]
+    pub fn unoccluded(&self, segment: &Ray) -> bool {
+        !self.embree.occluded(segment)
+    }
+
+    /// Bit k set: segment k of the packet is blocked.
+    #[inline]
+    pub fn occluded16(&self, packet: &mut ShadowPacket, coherent: bool) -> u16 {
+        self.embree.occluded16(packet, coherent)
+    }
+
+    /// The surface point of a hit.
+    #[inline]
+    pub fn point(&self, hit: &SurfaceHit) -> SurfacePoint {
+        let face = &self.scene.faces[hit.face as usize];
+        let (p0, e1, e2) = self.scene.face_frame(face);
+        let (u, v) = (f64::from(hit.u), f64::from(hit.v));
+        let sign = if hit.front { 1.0 } else { -1.0 };
+        let geometric = sign * face.normal;
+        let shading = if face.normals.is_none() { geometric } else { sign * shading_normal(self.scene, face, u, v) };
+        SurfacePoint {
+            face: hit.face,
+            u: hit.u,
+            v: hit.v,
+            front: hit.front,
+            point: p0 + u * e1 + v * e2,
+            geometric,
+            shading,
+        }
+    }
+}
+
+impl SurfacePoint {
+    /// The shading normal where it faces `wo`, the geometric one where interpolation turned it away.
+    pub fn facing(&self, wo: DVec3) -> DVec3 {
+        if self.shading.dot(wo) > 1e-3 { self.shading } else { self.geometric }
+    }
+}
+
+/// Interpolated unit shading normal, towards the front; the geometric one where there is none.
+pub fn shading_normal(scene: &Scene, face: &Face, u: f64, v: f64) -> DVec3 {
+    let Some(ids) = face.normals else { return face.normal };
+    let n = ids.map(|k| scene.normals[k as usize]);
+    let blended = if face.is_triangle() {
+        (1.0 - u - v) * n[0] + u * n[1] + v * n[2]
+    } else {
+        (1.0 - u) * (1.0 - v) * n[0] + u * (1.0 - v) * n[1] + u * v * n[2] + (1.0 - u) * v * n[3]
+    };
+    blended.try_normalize().unwrap_or(face.normal)
+}

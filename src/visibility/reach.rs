@@ -1,0 +1,182 @@
+//! Which sides of the faces light or a camera can reach at all.
+//!
+//! The inside of a closed box, or the outside of a room that is seen from within, needs no
+//! elements: nothing that happens there can be seen. Particles walk from emitters and cameras and
+//! mark the sides that they hit. A side that no particle found (it may be small) is then connected
+//! by straight segments to points that were found: one free segment proves that it is reachable.
+//! So a reachable side is missed only if it is hidden from every particle and every segment, and
+//! a ray of pass 1 that lands on such a side says so (see `form_factor`).
+
+use super::Visibility;
+use crate::bsdf;
+use crate::geometry::Frame;
+use crate::mesh::{Sides, side_index};
+use crate::sampling::{self, cosine_hemisphere, seed_of, sobol};
+use crate::scene::CameraFrame;
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// Surfaces that a particle visits at most.
+const STEPS: u32 = 12;
+/// Distinct particles that must find a side: one that slipped through a crack proves nothing.
+const PROOF: u32 = 3;
+/// Segments tried from each side that no particle found.
+const SEGMENTS: u32 = 64;
+
+/// The sides that light or a camera can reach.
+///
+/// `cameras` with their image sizes are sources beside the emitters. With light from outside
+/// (`environment` not black) so is every side from which a ray escapes. Without any source at all
+/// every side counts as reachable.
+pub fn reachable_sides(visibility: &Visibility, cameras: &[(CameraFrame, [u32; 2])], seed: u32) -> Sides {
+    let scene = visibility.scene();
+    let emitters: Vec<(u32, bool)> = (0..scene.faces.len() as u32)
+        .flat_map(|f| [(f, true), (f, false)])
+        .filter(|&(f, front)| scene.material(&scene.faces[f as usize]).emitted(front).max_element() > 0.0)
+        .collect();
+    let outside = scene.environment.max_element() > 0.0;
+    if emitters.is_empty() && cameras.is_empty() && !outside {
+        return Sides::all(scene);
+    }
+    let particles = (scene.faces.len() as u32).saturating_mul(8).clamp(1 << 15, 1 << 21);
+    let sources = emitters.len() + cameras.len();
+    let mut walks: Vec<Vec<(u32, DVec3)>> = Vec::new();
+    if sources > 0 {
+        walks = (0..particles)
+            .into_par_iter()
+            .with_min_len(1024)
+            .map(|k| {
+                let source = k as usize % sources;
+                let walker = Walker { visibility, seed: seed_of(&[seed, k, 0x7ea]) };
+                match emitters.get(source) {
+                    Some(&(face, front)) => walker.from_face(face, front, k / sources as u32),
+                    None => {
+                        let (frame, size) = &cameras[source - emitters.len()];
+                        walker.from_camera(frame, *size, k / sources as u32)
+                    }
+                }
+            })
+            .collect();
+    }
+    let mut found = vec![0u32; 2 * scene.faces.len()];
+    let mut witness = vec![None; 2 * scene.faces.len()];
+    for walk in &mut walks {
+        walk.sort_unstable_by_key(|(side, _)| *side);
+        walk.dedup_by_key(|(side, _)| *side);
+        for (side, point) in walk {
+            found[*side as usize] += 1;
+            witness[*side as usize].get_or_insert(*point);
+        }
+    }
+    for &(face, front) in &emitters {
+        found[side_index(face, front)] = PROOF;
+    }
+    let mut reached = Sides(found.iter().map(|&n| n >= PROOF).collect());
+    let witnesses: Vec<(DVec3, DVec3)> = (0..reached.0.len())
+        .filter(|&s| reached.0[s])
+        .filter_map(|s| {
+            let normal = scene.faces[s / 2].normal * if s % 2 == 0 { 1.0 } else { -1.0 };
+            witness[s].map(|p| (p, normal))
+        })
+        .collect();
+    let more: Vec<bool> = (0..reached.0.len())
+        .into_par_iter()
+        .map(|s| reached.0[s] || connects(visibility, s as u32, &witnesses, outside, seed))
+        .collect();
+    reached.0 = more;
+    reached
+}
+
+/// Whether some segment from a side to a witness, or a ray to the outside, is free.
+fn connects(visibility: &Visibility, side: u32, witnesses: &[(DVec3, DVec3)], outside: bool, seed: u32) -> bool {
+    let scene = visibility.scene();
+    let face = &scene.faces[side as usize / 2];
+    let normal = face.normal * if side % 2 == 0 { 1.0 } else { -1.0 };
+    let (p0, e1, e2) = scene.face_frame(face);
+    (0..SEGMENTS).any(|k| {
+        let p = sobol(k, 0, seed_of(&[seed, side, 0xc0]));
+        let (u, v) = if face.is_triangle() { sampling::triangle(p[0], p[1]) } else { (p[0], p[1]) };
+        let point = p0 + u * e1 + v * e2;
+        let origin = visibility.leave(point, normal);
+        if outside {
+            let d = Frame::new(normal).to_scene(cosine_hemisphere(p[2], p[3])).as_vec3();
+            if visibility.closest(origin, d, side / 2).is_none() {
+                return true;
+            }
+        }
+        if witnesses.is_empty() {
+            return false;
+        }
+        let (target, facing) = witnesses[(p[2] * witnesses.len() as f64) as usize % witnesses.len()];
+        let d = target - point;
+        // Grazing segments could pass through contacts by rounding.
+        let l = d.length();
+        d.dot(normal) > 1e-3 * l
+            && -d.dot(facing) > 1e-3 * l
+            && visibility.unoccluded(&visibility.segment(origin, target, facing))
+    })
+}
+
+
+struct Walker<'a, 's> {
+    visibility: &'a Visibility<'s>,
+    seed: u32,
+}
+
+impl Walker<'_, '_> {
+    fn from_face(&self, face: u32, front: bool, index: u32) -> Vec<(u32, DVec3)> {
+        let scene = self.visibility.scene();
+        let f = &scene.faces[face as usize];
+        let p = sobol(index, 0, seed_of(&[face, 0x11]));
+        let (u, v) = if f.is_triangle() { sampling::triangle(p[0], p[1]) } else { (p[0], p[1]) };
+        let (p0, e1, e2) = scene.face_frame(f);
+        let normal = if front { f.normal } else { -f.normal };
+        let d = Frame::new(normal).to_scene(cosine_hemisphere(p[2], p[3]));
+        self.walk(p0 + u * e1 + v * e2, normal, d, face)
+    }
+
+    fn from_camera(&self, frame: &CameraFrame, size: [u32; 2], index: u32) -> Vec<(u32, DVec3)> {
+        let p = sobol(index, 0, 0xca3);
+        let d = frame.direction(p[0] * f64::from(size[0]), p[1] * f64::from(size[1]));
+        self.walk(frame.origin(), DVec3::ZERO, d, u32::MAX)
+    }
+
+    fn walk(&self, mut point: DVec3, mut normal: DVec3, mut direction: DVec3, mut from: u32) -> Vec<(u32, DVec3)> {
+        let scene = self.visibility.scene();
+        let mut sides = Vec::new();
+        for step in 0..STEPS {
+            let origin = self.visibility.leave(point, normal);
+            let Some(hit) = self.visibility.closest(origin, direction.as_vec3(), from) else { break };
+            sides.push((side_index(hit.face, hit.front) as u32, self.visibility.point(&hit).point));
+            let at = self.visibility.point(&hit);
+            let material = scene.material(&scene.faces[hit.face as usize]);
+            if !hit.front && !material.two_sided {
+                break;
+            }
+            let p = sobol(step, 0, self.seed);
+            (point, normal, from) = (at.point, at.geometric, hit.face);
+            // Any way that light may go on is taken, whatever its weight: this asks whether, not how much.
+            let specular = material.is_specular() && (p[3] < 0.5 || !material.is_diffuse());
+            if specular {
+                let q = sobol(step, 1, self.seed);
+                let wo = -direction;
+                match bsdf::sample_specular(material, wo, at.facing(wo), hit.front, [q[0], q[1], q[2]]) {
+                    Some(s) => {
+                        direction = s.direction;
+                        if s.transmitted {
+                            normal = -normal;
+                        }
+                    }
+                    None => break,
+                }
+            } else {
+                // A black surface scatters too: a camera may see what lies around it only.
+                if material.is_translucent() && p[2] < 0.5 {
+                    normal = -normal;
+                }
+                direction = Frame::new(normal).to_scene(cosine_hemisphere(p[0], p[1]));
+            }
+        }
+        sides
+    }
+}
