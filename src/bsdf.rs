@@ -121,12 +121,19 @@ fn reflection_albedo(material: &Material, fresnel: Option<f64>) -> Rgb {
 /// `wo` points away from the surface, `normal` is the unit shading normal on its side, `front`
 /// tells whether that is the face's front (outside of the glass). `u` in [0, 1)^3; the last picks
 /// the branch.
-pub fn sample_specular(material: &Material, wo: DVec3, normal: DVec3, front: bool, u: [f64; 3]) -> Option<Scatter> {
+pub fn sample_specular(
+    material: &Material,
+    wo: DVec3,
+    normal: DVec3,
+    front: bool,
+    u: [f64; 3],
+) -> Option<Scatter> {
     if !material.is_glass() {
         return sample_reflection(material, wo, normal, u[0], u[1]);
     }
     let [reflected, refracted] = glass_branches(material, wo, normal, front);
-    let (a, b) = (reflected.map_or(0.0, |s| color::mean(s.weight)), refracted.map_or(0.0, |s| color::mean(s.weight)));
+    let (a, b) =
+        (reflected.map_or(0.0, |s| color::mean(s.weight)), refracted.map_or(0.0, |s| color::mean(s.weight)));
     if a + b <= 0.0 {
         return None;
     }
@@ -143,7 +150,12 @@ pub fn sample_reflection(material: &Material, wo: DVec3, normal: DVec3, u: f64, 
     let alpha = material.alpha();
     if alpha < MIRROR_ALPHA {
         let direction = reflect(wo, normal);
-        return Some(Scatter { direction, weight: material.specular, density: f64::INFINITY, transmitted: false });
+        return Some(Scatter {
+            direction,
+            weight: material.specular,
+            density: f64::INFINITY,
+            transmitted: false,
+        });
     }
     let frame = Frame::new(normal);
     let local = frame.to_local(wo);
@@ -207,7 +219,9 @@ mod tests {
     #[test]
     fn sampled_weight_equals_lobe_over_density() {
         for alpha in [0.02, 0.1, 0.5, 1.0] {
-            for (k, wo) in [DVec3::Z, DVec3::new(0.8, 0.0, 0.6), DVec3::new(0.5, -0.8, 0.1)].into_iter().enumerate() {
+            for (k, wo) in
+                [DVec3::Z, DVec3::new(0.8, 0.0, 0.6), DVec3::new(0.5, -0.8, 0.1)].into_iter().enumerate()
+            {
                 let wo = wo.normalize();
                 for i in 0..200 {
                     let p = sampling::sobol(i, 0, k as u32);
@@ -225,7 +239,9 @@ mod tests {
         // The mean of 1/density over sampled directions is the solid angle of the lobe's support;
         // test instead that two estimators of the lobe's albedo agree: visible normals and the
         // cosine-weighted hemisphere. n = 65,536 points; standard errors are below 2e-3.
-        for (alpha, wo) in [(0.3, DVec3::new(0.6, 0.0, 0.8)), (0.7, DVec3::new(0.3, 0.9, 0.316)), (1.0, DVec3::Z)] {
+        for (alpha, wo) in
+            [(0.3, DVec3::new(0.6, 0.0, 0.8)), (0.7, DVec3::new(0.3, 0.9, 0.316)), (1.0, DVec3::Z)]
+        {
             let wo = wo.normalize();
             let n = 65_536;
             let (mut a, mut b) = (0.0, 0.0);

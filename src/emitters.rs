@@ -9,7 +9,7 @@ use crate::color::{self, Rgb};
 use crate::mesh::side_index;
 use crate::sampling;
 use crate::scene::Scene;
-use crate::visibility::Visibility;
+use crate::visibility::{OFFSET, Visibility};
 use glam::{DVec3, Vec3};
 use std::f64::consts::PI;
 
@@ -159,9 +159,10 @@ impl Emitters {
         mut found: impl FnMut(u32, DVec3, Connection),
     ) {
         for mirror in &self.mirrors {
-            let (a, b) = (mirror.normal.dot(point) - mirror.offset, mirror.normal.dot(sample.point) - mirror.offset);
-            // Both in front, or both behind.
-            if a * b <= 0.0 {
+            let (a, b) =
+                (mirror.normal.dot(point) - mirror.offset, mirror.normal.dot(sample.point) - mirror.offset);
+            // Both in front, or both behind; a point of the mirror itself sees no image in it.
+            if a * b <= 0.0 || a.abs() < 2.0 * OFFSET * scene.radius {
                 continue;
             }
             let flip = -2.0 * mirror.normal.dot(sample.normal);
@@ -186,7 +187,14 @@ impl Emitters {
     }
 
     /// Whether the two legs of a connection by a mirror are free.
-    pub fn image_visible(&self, v: &Visibility, origin: Vec3, face: u32, window: DVec3, s: &EmitterSample) -> bool {
+    pub fn image_visible(
+        &self,
+        v: &Visibility,
+        origin: Vec3,
+        face: u32,
+        window: DVec3,
+        s: &EmitterSample,
+    ) -> bool {
         let n = v.scene().faces[face as usize].normal;
         let side = if n.dot(origin.as_dvec3() - window) > 0.0 { n } else { -n };
         v.unoccluded(&v.segment(origin, window, side))

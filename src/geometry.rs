@@ -48,7 +48,9 @@ mod tests {
 
     #[test]
     fn frames_are_orthonormal_and_right_handed() {
-        for z in [DVec3::Z, -DVec3::Z, DVec3::X, DVec3::new(0.6, 0.0, -0.8), DVec3::new(1.0, 2.0, 3.0).normalize()] {
+        for z in
+            [DVec3::Z, -DVec3::Z, DVec3::X, DVec3::new(0.6, 0.0, -0.8), DVec3::new(1.0, 2.0, 3.0).normalize()]
+        {
             let f = Frame::new(z);
             assert!(f.x.cross(f.y).distance(z) < 1e-14);
             assert!(f.x.dot(z).abs() < 1e-14 && (f.x.length() - 1.0).abs() < 1e-14);

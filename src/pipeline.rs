@@ -152,13 +152,18 @@ pub fn solve(
         } else {
             rays += mesh.len() as u64 * u64::from(batches * samples);
             let rays_per_row = matrix.rays_per_row;
-            radiosity::sample_emitters(visibility, &mesh, emitters, (batches, samples), rays_per_row, settings.seed)
+            radiosity::sample_emitters(
+                visibility,
+                &mesh,
+                emitters,
+                (batches, samples),
+                rays_per_row,
+                settings.seed,
+            )
         };
         ((matrix, hemisphere, sampled), rays)
     });
-    stage("solve", 0, observer, stages, || {
-        (finish(scene, mesh, &matrix, emitters, &hemisphere, &sampled), 0)
-    })
+    stage("solve", 0, observer, stages, || (finish(scene, mesh, &matrix, emitters, &hemisphere, &sampled), 0))
 }
 
 fn finish(

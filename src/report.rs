@@ -135,8 +135,15 @@ pub struct Report {
 
 impl Report {
     /// A report without pass 1.
-    pub fn new(scene: &Scene, versions: Versions, seed: u32, stages: Vec<Stage>, warnings: Vec<String>) -> Report {
-        let (rays, seconds) = stages.iter().filter(|s| s.rays > 0).fold((0, 0.0), |(r, t), s| (r + s.rays, t + s.seconds));
+    pub fn new(
+        scene: &Scene,
+        versions: Versions,
+        seed: u32,
+        stages: Vec<Stage>,
+        warnings: Vec<String>,
+    ) -> Report {
+        let (rays, seconds) =
+            stages.iter().filter(|s| s.rays > 0).fold((0, 0.0), |(r, t), s| (r + s.rays, t + s.seconds));
         Report {
             command: std::env::args().collect(),
             scene: scene.path.display().to_string(),
@@ -157,8 +164,11 @@ impl Report {
 
     /// Writes the report as JSON, whole or not at all.
     pub fn write(&self, path: &Path) -> Result<()> {
-        let text = serde_json::to_string_pretty(self)
-            .map_err(|e| Error::Parse { path: path.into(), line: None, message: e.to_string() })?;
+        let text = serde_json::to_string_pretty(self).map_err(|e| Error::Parse {
+            path: path.into(),
+            line: None,
+            message: e.to_string(),
+        })?;
         write_whole(path, format!("{text}\n").as_bytes())
     }
 }

@@ -46,7 +46,9 @@ impl SobolTable {
             })
             .collect();
         order.sort_unstable();
-        SobolTable { points: order.iter().map(|&(_, i)| parts::sobol_int4_rev(i.reverse_bits(), 0)).collect() }
+        SobolTable {
+            points: order.iter().map(|&(_, i)| parts::sobol_int4_rev(i.reverse_bits(), 0)).collect(),
+        }
     }
 
     /// Number of points.
@@ -99,7 +101,8 @@ pub fn concentric_disc(u: f64, v: f64) -> DVec2 {
         return DVec2::ZERO;
     }
     use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
-    let (r, phi) = if a.abs() > b.abs() { (a, FRAC_PI_4 * (b / a)) } else { (b, FRAC_PI_2 - FRAC_PI_4 * (a / b)) };
+    let (r, phi) =
+        if a.abs() > b.abs() { (a, FRAC_PI_4 * (b / a)) } else { (b, FRAC_PI_2 - FRAC_PI_4 * (a / b)) };
     DVec2::new(r * phi.cos(), r * phi.sin())
 }
 

@@ -69,7 +69,7 @@ pub struct RenderArgs {
     #[arg(long, value_name = "N", value_parser = count)]
     pub spp: Option<u32>,
     /// Hemisphere rays a sample at quality gather.
-    #[arg(long, value_name = "N", default_value_t = 16, value_parser = count)]
+    #[arg(long, value_name = "N", default_value_t = 32, value_parser = count)]
     pub gather_rays: u32,
     /// Emitter samples a sample.
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = count)]

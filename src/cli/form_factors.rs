@@ -24,10 +24,14 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
     match (to_stdout, extension.as_str(), args.by_object) {
         (true, _, true) | (false, "json", true) | (false, "npz", false) => {}
         (true, _, false) | (false, "json", false) => {
-            return Err(Error::Usage("JSON holds one row an object: add --by-object, or write -o F.npz".into()));
+            return Err(Error::Usage(
+                "JSON holds one row an object: add --by-object, or write -o F.npz".into(),
+            ));
         }
         (false, "npz", true) => {
-            return Err(Error::Usage("--by-object is written as JSON: -o F.json, or -o - for standard output".into()));
+            return Err(Error::Usage(
+                "--by-object is written as JSON: -o F.json, or -o - for standard output".into(),
+            ));
         }
         _ => return Err(Error::Usage(format!("{}: write .json or .npz", args.output.display()))),
     }
@@ -58,7 +62,9 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
         (matrix, rays)
     });
     let seconds = start.elapsed().as_secs_f64();
-    pipeline::stage("write", 0, observer, &mut stages, || (write(args, to_stdout, &scene, &mesh, &matrix, seconds), 0))?;
+    pipeline::stage("write", 0, observer, &mut stages, || {
+        (write(args, to_stdout, &scene, &mesh, &matrix, seconds), 0)
+    })?;
     if let Some(path) = &args.common.report {
         let mut report =
             Report::new(&scene, Versions::new(&device), args.common.seed, stages, scene.warnings.clone());

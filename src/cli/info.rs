@@ -33,7 +33,11 @@ pub fn run(args: &InfoArgs) -> Result<()> {
     for camera in &scene.cameras {
         println!("  camera        {} ({} x {})", camera.name, camera.size[0], camera.size[1]);
     }
-    println!("  sides         {} of {} can be reached by light or a camera", reached.count(), 2 * scene.faces.len());
+    println!(
+        "  sides         {} of {} can be reached by light or a camera",
+        reached.count(),
+        2 * scene.faces.len()
+    );
     println!("  elements      {} of at most {size:.6} m", mesh.len());
     println!("  materials");
     for m in &scene.materials {

@@ -36,7 +36,8 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     let pass1_settings = pass1(&args.pass1, &scene, args.common.seed);
     let pass1 = if needs_pass1 {
         let cameras = std::slice::from_ref(&camera);
-        let result = pipeline::solve(&visibility, &emitters, cameras, &pass1_settings, observer, &mut stages)?;
+        let result =
+            pipeline::solve(&visibility, &emitters, cameras, &pass1_settings, observer, &mut stages)?;
         result.warnings.iter().for_each(|w| progress.warn(w));
         warnings.extend(result.warnings.iter().cloned());
         Some(result)

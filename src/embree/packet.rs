@@ -53,13 +53,13 @@ impl RayPacket {
         RayPacket { query, valid: Valid([0; LANES]), triangle_count: 0 }
     }
 
-    /// Puts a ray into a lane (0 to 15), which becomes active and loses its old hit.
+    /// Puts a ray into a lane (0 to 15), which becomes active if the ray is finite and loses its old hit.
     #[inline]
     pub fn set(&mut self, lane: usize, ray: &Ray) {
         assert!(lane < LANES);
         set_lane!(&mut self.query.ray, lane, ray);
         self.query.hit.geomID[lane] = MISS;
-        self.valid.0[lane] = -1;
+        self.valid.0[lane] = -i32::from(ray.is_valid());
     }
 
     /// Makes every lane inactive.
@@ -106,12 +106,12 @@ impl ShadowPacket {
         ShadowPacket { query, valid: Valid([0; LANES]) }
     }
 
-    /// Puts a ray into a lane (0 to 15), which becomes active.
+    /// Puts a ray into a lane (0 to 15), which becomes active if the ray is finite.
     #[inline]
     pub fn set(&mut self, lane: usize, ray: &Ray) {
         assert!(lane < LANES);
         set_lane!(&mut self.query, lane, ray);
-        self.valid.0[lane] = -1;
+        self.valid.0[lane] = -i32::from(ray.is_valid());
     }
 
     /// Makes every lane inactive.

@@ -29,6 +29,15 @@ impl Ray {
         Ray { origin, direction, tnear: 0.0, tfar }
     }
 
+    /// Whether Embree accepts the ray. Debian builds Embree with assertions: one NaN would end the
+    /// process, so a ray that is none never gets there and simply hits nothing.
+    #[inline]
+    pub(super) fn is_valid(&self) -> bool {
+        // A sum of magnitudes is NaN or infinite if any part is; Embree's own limit is 1.8e18.
+        let size = self.origin.abs().element_sum() + self.direction.abs().element_sum();
+        size < 1.8e18 && self.tnear >= 0.0 && self.tfar >= self.tnear
+    }
+
     #[inline]
     pub(super) fn to_raw(self) -> sys::RTCRay {
         sys::RTCRay {

@@ -108,9 +108,12 @@ impl CommittedScene {
         if filled { Ok(()) } else { Err(Error::Embree("copying the faces: out of memory".into())) }
     }
 
-    /// The nearest hit of a ray.
+    /// The nearest hit of a ray; none for a ray that is not finite.
     #[inline]
     pub fn intersect(&self, ray: &Ray) -> Option<Hit> {
+        if !ray.is_valid() {
+            return None;
+        }
         let mut query = sys::RTCRayHit { ray: ray.to_raw(), hit: sys::RTCHit::default() };
         query.hit.geomID = MISS;
         // SAFETY: the scene is committed, and `query` is a whole, aligned RTCRayHit of the
@@ -128,6 +131,9 @@ impl CommittedScene {
     /// Whether any face lies on the ray between `tnear` and `tfar`.
     #[inline]
     pub fn occluded(&self, ray: &Ray) -> bool {
+        if !ray.is_valid() {
+            return false;
+        }
         let mut query = ray.to_raw();
         // SAFETY: the scene is committed, and `query` is a whole, aligned RTCRay.
         unsafe { sys::twopass_occluded1(self.scene.as_ptr(), &mut query) };

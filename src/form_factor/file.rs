@@ -12,7 +12,8 @@ impl ExchangeMatrix {
     /// The matrix as `scipy.sparse.load_npz` reads it: CSR, f64, sorted columns, [n, n].
     pub fn to_npz(&self) -> Result<Vec<u8>> {
         let n = self.len();
-        let mut csr: Csr<f64> = Csr { data: Vec::new(), indices: Vec::new(), indptr: vec![0], shape: [n as u64, n as u64] };
+        let mut csr: Csr<f64> =
+            Csr { data: Vec::new(), indices: Vec::new(), indptr: vec![0], shape: [n as u64, n as u64] };
         for row in 0..n {
             let mut sums = BTreeMap::<usize, f64>::new();
             for (j, f) in self.row(row) {

@@ -70,13 +70,17 @@ impl ExchangeMatrix {
 
     /// Bytes that the matrix occupies.
     pub fn bytes(&self) -> usize {
-        self.columns.len() * 4 + self.values.len() * 4 + self.start.len() * 8 + self.summary.len() * size_of::<RowSummary>()
+        self.columns.len() * 4
+            + self.values.len() * 4
+            + self.start.len() * 8
+            + self.summary.len() * size_of::<RowSummary>()
     }
 
     /// Column and value (by channel) of each entry of one randomisation of a row.
     pub fn batch(&self, row: usize, batch: usize) -> impl Iterator<Item = (usize, Rgb)> + '_ {
         let k = row * self.batches + batch;
-        (self.start[k] as usize..self.start[k + 1] as usize).map(|e| (self.columns[e] as usize, self.value(e)))
+        (self.start[k] as usize..self.start[k + 1] as usize)
+            .map(|e| (self.columns[e] as usize, self.value(e)))
     }
 
     /// Entries of all randomisations of a row, which share a row's rays; a column may come several times.
@@ -102,7 +106,8 @@ impl ExchangeMatrix {
             .into_par_iter()
             .with_min_len(64)
             .map(|row| {
-                let (a, b) = (self.start[row * self.batches] as usize, self.start[(row + 1) * self.batches] as usize);
+                let (a, b) =
+                    (self.start[row * self.batches] as usize, self.start[(row + 1) * self.batches] as usize);
                 self.dot(a, b, x)
             })
             .collect()

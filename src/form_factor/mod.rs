@@ -8,5 +8,5 @@ mod table;
 
 pub use matrix::{ExchangeMatrix, RowSummary};
 pub use raycast::{Casting, EmitterIrradiance, cast};
-pub use table::ObjectTable;
 pub use specular::{ChainEnd, Chains, Link, pass_on};
+pub use table::ObjectTable;

@@ -7,8 +7,8 @@
 use super::matrix::{ExchangeMatrix, RowSummary};
 use super::specular::{Chains, Link, pass_on};
 use crate::color::Rgb;
-use crate::emitters::{Emitters, Passage, mis_share, cosine_density};
 use crate::embree::{Ray, RayPacket};
+use crate::emitters::{Emitters, Passage, cosine_density, mis_share};
 use crate::geometry::Frame;
 use crate::mesh::{Mesh, NONE, Sides, side_index};
 use crate::sampling::{MAX_POINTS, Scramble, SobolTable, seed_of};
@@ -78,12 +78,17 @@ const UNREACHED: u8 = 4;
 
 /// Casts the rows of every element of a mesh. Returns the matrix and, with `emitters`, the
 /// irradiance that came from them: one value for each (row, randomisation).
-pub fn cast(visibility: &Visibility, mesh: &Mesh, casting: &Casting) -> (ExchangeMatrix, Vec<EmitterIrradiance>) {
+pub fn cast(
+    visibility: &Visibility,
+    mesh: &Mesh,
+    casting: &Casting,
+) -> (ExchangeMatrix, Vec<EmitterIrradiance>) {
     let scene = visibility.scene();
     let batches = casting.batches.max(casting.rays.div_ceil(MAX_POINTS)).clamp(1, casting.rays.max(1));
     let per_batch = casting.rays.max(1).div_ceil(batches);
     let kinds = side_kinds(scene, casting);
-    let coloured = casting.specular && scene.materials.iter().any(|m| m.is_specular() && !m.has_grey_specular());
+    let coloured =
+        casting.specular && scene.materials.iter().any(|m| m.is_specular() && !m.has_grey_specular());
     let shared = Shared {
         visibility,
         mesh,
@@ -278,7 +283,15 @@ impl Shared<'_, '_> {
         for batch in 0..self.batches {
             block.start.push(block.columns.len() as u32);
             let mut emitted = EmitterIrradiance::default();
-            self.batch(scratch, &source, (element, batch), &mut row, &mut covered, &mut emitted, &mut block.rays);
+            self.batch(
+                scratch,
+                &source,
+                (element, batch),
+                &mut row,
+                &mut covered,
+                &mut emitted,
+                &mut block.rays,
+            );
             for &j in &scratch.touched {
                 block.columns.push(j);
                 let k = j as usize * self.channels;
@@ -337,7 +350,8 @@ impl Shared<'_, '_> {
             }
             self.visibility.closest16(&mut scratch.packet, false);
             for (k, &(origin, direction)) in lanes.iter().enumerate().take(count) {
-                let Some(hit) = self.visibility.lane(&scratch.packet, k, origin, direction, source.face) else {
+                let Some(hit) = self.visibility.lane(&scratch.packet, k, origin, direction, source.face)
+                else {
                     row.escaped += Rgb::ONE;
                     continue;
                 };
@@ -356,7 +370,15 @@ impl Shared<'_, '_> {
                     self.emitter(source, origin, direction, &hit, emitted);
                 }
                 if kind & SPECULAR != 0 {
-                    self.chain(scratch, source, (origin, direction, hit), ((base + k) as u32, seed), row, emitted, rays);
+                    self.chain(
+                        scratch,
+                        source,
+                        (origin, direction, hit),
+                        ((base + k) as u32, seed),
+                        row,
+                        emitted,
+                        rays,
+                    );
                 }
             }
         }
@@ -383,8 +405,13 @@ impl Shared<'_, '_> {
         emitted: &mut EmitterIrradiance,
     ) {
         let length = self.visibility.point(hit).point.distance(origin.as_dvec3());
-        let link =
-            Link { hit: *hit, weight: Rgb::ONE, passage: Passage::Straight, length, direction: direction.as_dvec3() };
+        let link = Link {
+            hit: *hit,
+            weight: Rgb::ONE,
+            passage: Passage::Straight,
+            length,
+            direction: direction.as_dvec3(),
+        };
         self.emission(source, direction.as_dvec3(), &link, emitted);
     }
 
@@ -397,7 +424,12 @@ impl Shared<'_, '_> {
         } else {
             let normal = self.visibility.scene().faces[link.hit.face as usize].normal;
             let q = density * link.length * link.length / link.direction.dot(normal).abs();
-            mis_share(f64::from(self.casting.rays), cosine_density(first.dot(source.normal)), f64::from(samples), q)
+            mis_share(
+                f64::from(self.casting.rays),
+                cosine_density(first.dot(source.normal)),
+                f64::from(samples),
+                q,
+            )
         };
         emitted.add(link.passage, std::f64::consts::PI * radiance * link.weight * share);
     }

@@ -85,7 +85,8 @@ impl<'a, 's> Chains<'a, 's> {
             }
             let u = sobol(point, 1 + k % 60, seed);
             let wo = -direction;
-            let Some(s) = bsdf::sample_specular(material, wo, at.facing(wo), at.front, [u[0], u[1], u[2]]) else {
+            let Some(s) = bsdf::sample_specular(material, wo, at.facing(wo), at.front, [u[0], u[1], u[2]])
+            else {
                 return end;
             };
             // A shading normal may have turned the direction to the wrong side of the face.

@@ -177,7 +177,9 @@ impl Grid {
     pub fn node_points(&self) -> impl Iterator<Item = DVec2> + '_ {
         (0..=self.nv).flat_map(move |iv| {
             let last = if self.triangle { self.nu - iv } else { self.nu };
-            (0..=last).map(move |iu| DVec2::new(f64::from(iu) / f64::from(self.nu), f64::from(iv) / f64::from(self.nv)))
+            (0..=last).map(move |iu| {
+                DVec2::new(f64::from(iu) / f64::from(self.nu), f64::from(iv) / f64::from(self.nv))
+            })
         })
     }
 }
@@ -328,7 +330,8 @@ mod tests {
     #[test]
     fn lookup_agrees_with_geometry_on_every_cell() {
         for triangle in [false, true] {
-            for (nu, nv) in (1..=13).flat_map(|a| (1..=13).map(move |b| (a, b))).chain([(200, 200), (255, 3)]) {
+            for (nu, nv) in (1..=13).flat_map(|a| (1..=13).map(move |b| (a, b))).chain([(200, 200), (255, 3)])
+            {
                 if triangle && nu != nv {
                     continue;
                 }

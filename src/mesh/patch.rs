@@ -119,5 +119,7 @@ fn continuous(scene: &Scene, a: &Face, ca: usize, b: &Face, cb: usize) -> bool {
         scene.normals[normals[c % corners] as usize]
     };
     let same = |x: DVec3, y: DVec3| x.dot(y) > 1.0 - 1e-4;
-    a.normal.dot(b.normal) > 0.5 && same(at(na, a, ca), at(nb, b, cb + 1)) && same(at(na, a, ca + 1), at(nb, b, cb))
+    a.normal.dot(b.normal) > 0.5
+        && same(at(na, a, ca), at(nb, b, cb + 1))
+        && same(at(na, a, ca + 1), at(nb, b, cb))
 }

@@ -1,7 +1,7 @@
 //! Irradiance on elements from samples of the emitters' areas.
 
-use crate::emitters::{Emitters, Passage, mis_share, connect, cosine_density};
 use crate::embree::ShadowPacket;
+use crate::emitters::{Emitters, Passage, connect, cosine_density, mis_share};
 use crate::form_factor::EmitterIrradiance;
 use crate::mesh::Mesh;
 use crate::sampling::{seed_of, sobol};
@@ -51,15 +51,16 @@ impl Sampler<'_, '_> {
         let mut packet = ShadowPacket::new();
         let mut pending = [crate::color::Rgb::ZERO; 16];
         let mut used = 0;
-        let flush = |packet: &mut ShadowPacket, pending: &[crate::color::Rgb], sum: &mut EmitterIrradiance| {
-            let blocked = self.visibility.occluded16(packet, false);
-            for (k, irradiance) in pending.iter().enumerate() {
-                if blocked >> k & 1 == 0 {
-                    sum.add(Passage::Straight, *irradiance);
+        let flush =
+            |packet: &mut ShadowPacket, pending: &[crate::color::Rgb], sum: &mut EmitterIrradiance| {
+                let blocked = self.visibility.occluded16(packet, false);
+                for (k, irradiance) in pending.iter().enumerate() {
+                    if blocked >> k & 1 == 0 {
+                        sum.add(Passage::Straight, *irradiance);
+                    }
                 }
-            }
-            packet.clear();
-        };
+                packet.clear();
+            };
         for k in 0..count {
             let (p, q) = (sobol(k, 0, seed), sobol(k, 1, seed));
             let uv = grid.cell_point(&frame, p[0], p[1]);
@@ -96,6 +97,10 @@ impl Sampler<'_, '_> {
             flush(&mut packet, &pending[..used], &mut sum);
         }
         let scale = 1.0 / f64::from(count.max(1));
-        EmitterIrradiance { straight: sum.straight * scale, image: sum.image * scale, chain: sum.chain * scale }
+        EmitterIrradiance {
+            straight: sum.straight * scale,
+            image: sum.image * scale,
+            chain: sum.chain * scale,
+        }
     }
 }

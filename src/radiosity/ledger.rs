@@ -76,8 +76,11 @@ impl Ledger {
         let output = sum.absorbed + sum.absorbed_specular + sum.escaped + sum.dropped;
         let ratio = |a: f64, b: f64| if b > 0.0 { a / b } else { 0.0 };
         let difference = input - output;
-        sum.residual =
-            Rgb::new(ratio(difference.x, input.x), ratio(difference.y, input.y), ratio(difference.z, input.z));
+        sum.residual = Rgb::new(
+            ratio(difference.x, input.x),
+            ratio(difference.y, input.y),
+            ratio(difference.z, input.z),
+        );
         sum
     }
 }

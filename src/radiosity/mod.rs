@@ -99,7 +99,11 @@ pub fn solve(
         // Means over the open part of the element: covered parts receive nothing and are not seen.
         let open = matrix.summary[row].exposed;
         let scale = if open > 0.0 { 1.0 / open } else { 0.0 };
-        EmitterIrradiance { straight: sum.straight * scale, image: sum.image * scale, chain: sum.chain * scale }
+        EmitterIrradiance {
+            straight: sum.straight * scale,
+            image: sum.image * scale,
+            chain: sum.chain * scale,
+        }
     };
     let sources: Vec<Sources> = (0..n)
         .map(|row| {
@@ -194,7 +198,11 @@ impl Transport {
 
     /// Largest sum of reflectance and transmittance in any channel.
     pub fn largest(&self) -> f64 {
-        self.reflectance.iter().zip(&self.transmittance).map(|(r, t)| (*r + *t).max_element()).fold(0.0, f64::max)
+        self.reflectance
+            .iter()
+            .zip(&self.transmittance)
+            .map(|(r, t)| (*r + *t).max_element())
+            .fold(0.0, f64::max)
     }
 }
 

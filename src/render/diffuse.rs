@@ -2,8 +2,8 @@
 
 use super::{Context, Method, Quality, Sampler};
 use crate::color::Rgb;
-use crate::emitters::{Passage, mis_share, connect, cosine_density};
 use crate::embree::{Ray, RayPacket, ShadowPacket};
+use crate::emitters::{Passage, connect, cosine_density, mis_share};
 use crate::form_factor::{Chains, Link};
 use crate::geometry::Frame;
 use crate::radiosity::Field;
@@ -62,7 +62,14 @@ impl Context<'_, '_> {
 
     /// Irradiance at a point on the side of `side`: from emitters and their images and, with `gather`,
     /// from the whole hemisphere about `normal` [W m^-2].
-    fn irradiance(&self, at: &SurfacePoint, side: DVec3, normal: DVec3, sampler: Sampler, gather: bool) -> Rgb {
+    fn irradiance(
+        &self,
+        at: &SurfacePoint,
+        side: DVec3,
+        normal: DVec3,
+        sampler: Sampler,
+        gather: bool,
+    ) -> Rgb {
         let origin = self.visibility.leave(at.point, side);
         let hemisphere = if gather { self.settings.gather_rays } else { 0 };
         let mut sum = self.from_emitters(at, origin, normal, sampler, hemisphere);
@@ -73,7 +80,14 @@ impl Context<'_, '_> {
     }
 
     /// Irradiance by samples of the emitters, sharing the work with `hemisphere` rays.
-    fn from_emitters(&self, at: &SurfacePoint, origin: Vec3, normal: DVec3, sampler: Sampler, hemisphere: u32) -> Rgb {
+    fn from_emitters(
+        &self,
+        at: &SurfacePoint,
+        origin: Vec3,
+        normal: DVec3,
+        sampler: Sampler,
+        hemisphere: u32,
+    ) -> Rgb {
         let count = self.settings.emitter_samples;
         if self.emitters.is_empty() || count == 0 {
             return Rgb::ZERO;
@@ -87,7 +101,7 @@ impl Context<'_, '_> {
         let mut used = 0;
         for k in 0..count {
             let u = sampler.split(1, k, count);
-            let Some(sample) = self.emitters.sample(self.scene, [u[0], u[1], u[2]]) else { break };
+            let Some(sample) = self.emitters.sample(self.scene, [u[2], u[0], u[1]]) else { break };
             if let Some(c) = connect(at.point, normal, &sample) {
                 packet.set(used, &self.visibility.segment(origin, sample.point, sample.normal));
                 pending[used] = c.irradiance * share(c.density, c.direction.dot(normal));
@@ -141,10 +155,17 @@ impl Context<'_, '_> {
                 let material = self.scene.material(&self.scene.faces[hit.face as usize]);
                 if material.is_specular() && (hit.front || material.two_sided) {
                     let number = sampler.index.wrapping_mul(count).wrapping_add(base + k as u32);
-                    let end = chains.follow(origin, direction, hit, (number, sampler.branch(9).seed), |link: &Link| {
-                        let Link { hit, weight, passage, length, direction } = *link;
-                        sum += self.arriving(&hit, weight, passage, || length, direction, first.dot(normal));
-                    });
+                    let end = chains.follow(
+                        origin,
+                        direction,
+                        hit,
+                        (number, sampler.branch(9).seed),
+                        |link: &Link| {
+                            let Link { hit, weight, passage, length, direction } = *link;
+                            sum +=
+                                self.arriving(&hit, weight, passage, || length, direction, first.dot(normal));
+                        },
+                    );
                     self.cast(end.rays);
                     sum += end.escaped * self.scene.environment;
                 }

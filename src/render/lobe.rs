@@ -3,7 +3,7 @@
 use crate::bsdf;
 use crate::geometry::{Frame, reflect};
 use crate::sampling::{self, concentric_disc};
-use glam::{DVec3, DVec2};
+use glam::{DVec2, DVec3};
 use std::f64::consts::PI;
 use std::sync::OnceLock;
 
@@ -16,7 +16,12 @@ const HELD: f64 = 0.99;
 /// normal incidence: GGX has long tails, and a pyramid of equal cells that holds 99 % of it would
 /// spend most rays on almost nothing. Weights are lobe times cosine times solid angle, not yet
 /// normalised; zero below the horizon. `jitter(cell)` gives two numbers in [0, 1).
-pub(super) fn frustum(wo: DVec3, alpha: f64, n: u32, jitter: impl Fn(u32) -> (f64, f64)) -> Vec<(DVec3, f64)> {
+pub(super) fn frustum(
+    wo: DVec3,
+    alpha: f64,
+    n: u32,
+    jitter: impl Fn(u32) -> (f64, f64),
+) -> Vec<(DVec3, f64)> {
     let axis = Frame::new(reflect(wo, DVec3::Z));
     (0..n * n)
         .map(|cell| {
@@ -73,7 +78,8 @@ pub(super) fn albedo(cos: f64, alpha: f64) -> f64 {
     let (i, j) = ((x as usize).min(TABLE - 2), (y as usize).min(TABLE - 2));
     let (s, t) = (x - i as f64, y - j as f64);
     let at = |i: usize, j: usize| table[j * TABLE + i];
-    (at(i, j) * (1.0 - s) + at(i + 1, j) * s) * (1.0 - t) + (at(i, j + 1) * (1.0 - s) + at(i + 1, j + 1) * s) * t
+    (at(i, j) * (1.0 - s) + at(i + 1, j) * s) * (1.0 - t)
+        + (at(i, j + 1) * (1.0 - s) + at(i + 1, j + 1) * s) * t
 }
 
 #[cfg(test)]
@@ -94,7 +100,10 @@ mod tests {
                 .map(|c| c.1)
                 .sum();
                 let expected = albedo(cos, alpha);
-                assert!(sum < expected + 0.01 && sum > 0.93 * expected, "alpha {alpha} cos {cos}: {sum} {expected}");
+                assert!(
+                    sum < expected + 0.01 && sum > 0.93 * expected,
+                    "alpha {alpha} cos {cos}: {sum} {expected}"
+                );
             }
         }
     }

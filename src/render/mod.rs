@@ -85,7 +85,8 @@ impl Context<'_, '_> {
 }
 
 /// Numbers for one sample of one pixel: the same dimension of all samples of a pixel is one
-/// low-discrepancy sequence.
+/// low-discrepancy sequence. Sets of four dimensions are padded by reseeding (Burley 2020, section 5): the
+/// first Sobol dimensions have far better projections than the later ones.
 #[derive(Clone, Copy)]
 pub(crate) struct Sampler {
     seed: u32,
@@ -95,12 +96,12 @@ pub(crate) struct Sampler {
 impl Sampler {
     /// Four numbers of this sample.
     fn numbers(&self, set: u32) -> [f64; 4] {
-        sobol(self.index, set, self.seed)
+        sobol(self.index, 0, seed_of(&[self.seed, set]))
     }
 
     /// Four numbers of the `k`-th of `count` sub-samples of this sample.
     fn split(&self, set: u32, k: u32, count: u32) -> [f64; 4] {
-        sobol(self.index.wrapping_mul(count).wrapping_add(k), set, self.seed)
+        sobol(self.index.wrapping_mul(count).wrapping_add(k), 0, seed_of(&[self.seed, set]))
     }
 
     /// Independent numbers for what lies behind branch `branch`.
@@ -139,7 +140,8 @@ pub fn render(
     let tiles: Vec<(Vec<[f32; 3]>, u64)> = (0..columns * height.div_ceil(TILE))
         .into_par_iter()
         .map(|tile| {
-            let context = Context { scene, visibility, emitters, solution, settings: *settings, rays: Cell::new(0) };
+            let context =
+                Context { scene, visibility, emitters, solution, settings: *settings, rays: Cell::new(0) };
             let (x0, y0) = (tile % columns * TILE, tile / columns * TILE);
             let mut pixels = Vec::with_capacity((TILE * TILE) as usize);
             for y in y0..(y0 + TILE).min(height) {

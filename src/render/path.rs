@@ -3,7 +3,7 @@
 use super::{Context, Sampler};
 use crate::bsdf::{self, MIRROR_ALPHA};
 use crate::color::{self, Rgb};
-use crate::emitters::{Passage, mis_share, connect, cosine_density};
+use crate::emitters::{Passage, connect, cosine_density, mis_share};
 use crate::geometry::Frame;
 use crate::sampling::cosine_hemisphere;
 use crate::scene::Material;
@@ -30,11 +30,18 @@ impl<'m> Surface<'m> {
         let specular = if material.is_glass() { Rgb::ONE } else { material.specular };
         let weights = [material.diffuse, material.diffuse_transmission, specular].map(color::mean);
         let total: f64 = weights.iter().sum();
-        (total > 0.0).then(|| Surface { material, frame: Frame::new(normal), wo, choice: weights.map(|w| w / total) })
+        (total > 0.0).then(|| Surface {
+            material,
+            frame: Frame::new(normal),
+            wo,
+            choice: weights.map(|w| w / total),
+        })
     }
 
     fn is_glossy(&self) -> bool {
-        self.material.specular != Rgb::ZERO && !self.material.is_glass() && self.material.alpha() >= MIRROR_ALPHA
+        self.material.specular != Rgb::ZERO
+            && !self.material.is_glass()
+            && self.material.alpha() >= MIRROR_ALPHA
     }
 
     /// Scattering function times cosine towards `wi`, perfect lobes left out [sr^-1].
@@ -59,7 +66,8 @@ impl<'m> Surface<'m> {
         }
         let mut p = self.choice[0] * cosine_density(local.z);
         if self.is_glossy() {
-            p += self.choice[2] * bsdf::ggx_density(self.frame.to_local(self.wo), local, self.material.alpha());
+            p += self.choice[2]
+                * bsdf::ggx_density(self.frame.to_local(self.wo), local, self.material.alpha());
         }
         p
     }
@@ -119,7 +127,8 @@ impl Context<'_, '_> {
                 if s.density.is_infinite() {
                     throughput *= s.weight / surface.choice[2];
                     let image = self.emitters.is_image_mirror(at.face);
-                    passage = if passage == Passage::Straight && image { Passage::Image } else { Passage::Chain };
+                    passage =
+                        if passage == Passage::Straight && image { Passage::Image } else { Passage::Chain };
                 } else {
                     let p = surface.density(direction);
                     throughput *= surface.evaluate(direction) / p;
@@ -153,7 +162,7 @@ impl Context<'_, '_> {
 
     /// Light from one emitter sample, straight and by its mirror images, over all but the perfect lobes.
     fn next_event(&self, surface: &Surface, at: &SurfacePoint, u: [f64; 4]) -> Rgb {
-        let Some(sample) = self.emitters.sample(self.scene, [u[0], u[1], u[2]]) else { return Rgb::ZERO };
+        let Some(sample) = self.emitters.sample(self.scene, [u[2], u[0], u[1]]) else { return Rgb::ZERO };
         let mut sum = Rgb::ZERO;
         let sides: &[f64] = if surface.material.is_translucent() { &[1.0, -1.0] } else { &[1.0] };
         for &sign in sides {
@@ -168,7 +177,11 @@ impl Context<'_, '_> {
                 let value = weigh(&c);
                 if value.max_element() > 0.0
                     && c.direction.dot(side) > 0.0
-                    && self.visibility.unoccluded(&self.visibility.segment(origin, sample.point, sample.normal))
+                    && self.visibility.unoccluded(&self.visibility.segment(
+                        origin,
+                        sample.point,
+                        sample.normal,
+                    ))
                 {
                     sum += value;
                 }

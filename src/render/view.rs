@@ -3,7 +3,7 @@
 use super::{Context, Estimator, Method, Sampler, lobe};
 use crate::bsdf::{self, MIRROR_ALPHA, Scatter};
 use crate::color::{self, Rgb};
-use crate::emitters::{mis_share, connect};
+use crate::emitters::{connect, mis_share};
 use crate::geometry::Frame;
 use crate::scene::Material;
 use crate::visibility::SurfacePoint;
@@ -38,8 +38,16 @@ struct Sight {
 impl Context<'_, '_> {
     /// Radiance along a camera ray [W m^-2 sr^-1].
     pub(super) fn view(&self, origin: Vec3, direction: DVec3, sampler: Sampler) -> Rgb {
-        let sight =
-            Sight { origin, direction, from: u32::MAX, depth: 0, weight: 1.0, glossy: 0, fine: true, shared: None };
+        let sight = Sight {
+            origin,
+            direction,
+            from: u32::MAX,
+            depth: 0,
+            weight: 1.0,
+            glossy: 0,
+            fine: true,
+            shared: None,
+        };
         self.see(&sight, sampler)
     }
 
@@ -96,7 +104,9 @@ impl Context<'_, '_> {
         }
         match self.settings.estimator {
             // Grids within grids would cost n^4 rays: behind the first glossy surface one ray samples the lobe.
-            Estimator::Frustum(n) if sight.glossy == 0 => self.frustum(material, at, normal, wo, n, sight, sampler),
+            Estimator::Frustum(n) if sight.glossy == 0 => {
+                self.frustum(material, at, normal, wo, n, sight, sampler)
+            }
             Estimator::Lobe(n) if sight.glossy == 0 => self.lobe(material, at, normal, wo, n, sight, sampler),
             _ => self.lobe(material, at, normal, wo, 1, sight, sampler),
         }
@@ -207,14 +217,15 @@ impl Context<'_, '_> {
         let origin = self.visibility.leave(at.point, at.geometric);
         for k in 0..samples {
             let u = sampler.split(4, k, samples);
-            let Some(sample) = self.emitters.sample(self.scene, [u[0], u[1], u[2]]) else { break };
+            let Some(sample) = self.emitters.sample(self.scene, [u[2], u[0], u[1]]) else { break };
             let Some(c) = connect(at.point, normal, &sample) else { continue };
             let wi = frame.to_local(c.direction);
             let value = bsdf::ggx_reflect(local, wi, alpha);
             if value <= 0.0 || c.direction.dot(at.geometric) <= 0.0 {
                 continue;
             }
-            let share = mis_share(f64::from(samples), c.density, f64::from(n), bsdf::ggx_density(local, wi, alpha));
+            let share =
+                mis_share(f64::from(samples), c.density, f64::from(n), bsdf::ggx_density(local, wi, alpha));
             let segment = self.visibility.segment(origin, sample.point, sample.normal);
             self.cast(1);
             if self.visibility.unoccluded(&segment) {

@@ -33,7 +33,8 @@ impl Features {
         for face in &scene.faces {
             used[face.material as usize] = true;
         }
-        let any = |f: &dyn Fn(&super::Material) -> bool| scene.materials.iter().zip(&used).any(|(m, u)| *u && f(m));
+        let any =
+            |f: &dyn Fn(&super::Material) -> bool| scene.materials.iter().zip(&used).any(|(m, u)| *u && f(m));
         Features {
             emitters: any(&|m| m.is_emitter()),
             environment: scene.environment.max_element() > 0.0,

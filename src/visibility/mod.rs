@@ -65,7 +65,8 @@ impl<'s> Visibility<'s> {
     pub fn new(device: &Device, scene: &'s Scene) -> Result<Visibility<'s>> {
         let vertices: Vec<[f32; 3]> = scene.vertices.iter().map(|v| v.as_vec3().to_array()).collect();
         let (triangles, quads) = scene.faces.split_at(scene.triangle_count);
-        let triangles: Vec<[u32; 3]> = triangles.iter().map(|f| [f.vertices[0], f.vertices[1], f.vertices[2]]).collect();
+        let triangles: Vec<[u32; 3]> =
+            triangles.iter().map(|f| [f.vertices[0], f.vertices[1], f.vertices[2]]).collect();
         let quads: Vec<[u32; 4]> = quads.iter().map(|f| f.vertices).collect();
         let embree = CommittedScene::new(device, &vertices, &triangles, &quads)?;
         let normals = scene.faces.iter().map(|f| f.normal.as_vec3()).collect();
@@ -104,7 +105,14 @@ impl<'s> Visibility<'s> {
 
     /// Resolves a lane of a traced packet.
     #[inline]
-    pub fn lane(&self, packet: &RayPacket, lane: usize, origin: Vec3, direction: Vec3, from: u32) -> Option<SurfaceHit> {
+    pub fn lane(
+        &self,
+        packet: &RayPacket,
+        lane: usize,
+        origin: Vec3,
+        direction: Vec3,
+        from: u32,
+    ) -> Option<SurfaceHit> {
         let hit = packet.hit(lane)?;
         if hit.face == from {
             return self.closest(origin, direction, from);
@@ -130,7 +138,9 @@ impl<'s> Visibility<'s> {
     pub fn segment(&self, origin: Vec3, target: DVec3, normal: DVec3) -> Ray {
         let d = self.leave(target, normal) - origin;
         let length = d.length();
-        Ray::segment(origin, d / length, length)
+        // Points that coincide see each other: the segment has no inside.
+        let direction = if length > 0.0 { d / length } else { normal.as_vec3() };
+        Ray::segment(origin, direction, length)
     }
 
     /// Whether nothing lies on a segment.
@@ -153,7 +163,8 @@ impl<'s> Visibility<'s> {
         let (u, v) = (f64::from(hit.u), f64::from(hit.v));
         let sign = if hit.front { 1.0 } else { -1.0 };
         let geometric = sign * face.normal;
-        let shading = if face.normals.is_none() { geometric } else { sign * shading_normal(self.scene, face, u, v) };
+        let shading =
+            if face.normals.is_none() { geometric } else { sign * shading_normal(self.scene, face, u, v) };
         SurfacePoint {
             face: hit.face,
             u: hit.u,

@@ -88,7 +88,13 @@ pub fn reachable_sides(visibility: &Visibility, cameras: &[(CameraFrame, [u32; 2
 }
 
 /// Whether some segment from a side to a witness, or a ray to the outside, is free.
-fn connects(visibility: &Visibility, side: u32, witnesses: &[(DVec3, DVec3)], outside: bool, seed: u32) -> bool {
+fn connects(
+    visibility: &Visibility,
+    side: u32,
+    witnesses: &[(DVec3, DVec3)],
+    outside: bool,
+    seed: u32,
+) -> bool {
     let scene = visibility.scene();
     let face = &scene.faces[side as usize / 2];
     let normal = face.normal * if side % 2 == 0 { 1.0 } else { -1.0 };
@@ -117,7 +123,6 @@ fn connects(visibility: &Visibility, side: u32, witnesses: &[(DVec3, DVec3)], ou
     })
 }
 
-
 struct Walker<'a, 's> {
     visibility: &'a Visibility<'s>,
     seed: u32,
@@ -141,7 +146,13 @@ impl Walker<'_, '_> {
         self.walk(frame.origin(), DVec3::ZERO, d, u32::MAX)
     }
 
-    fn walk(&self, mut point: DVec3, mut normal: DVec3, mut direction: DVec3, mut from: u32) -> Vec<(u32, DVec3)> {
+    fn walk(
+        &self,
+        mut point: DVec3,
+        mut normal: DVec3,
+        mut direction: DVec3,
+        mut from: u32,
+    ) -> Vec<(u32, DVec3)> {
         let scene = self.visibility.scene();
         let mut sides = Vec::new();
         for step in 0..STEPS {
