@@ -32,7 +32,9 @@ pub fn sobol(index: u32, set: u32, seed: u32) -> [f64; 4] {
 /// Owen scrambling permutes elementary intervals as a whole, so the order sorts the scrambled
 /// points of every seed too: 16 consecutive points lie within a fraction 16/n of the square.
 pub struct SobolTable {
-    points: Vec<parts::Int4>,
+    /// Bit-reversed coordinates of 16 points by dimension; the last block may be padded.
+    blocks: Vec<[[u32; 16]; 4]>,
+    len: usize,
 }
 
 impl SobolTable {
@@ -46,36 +48,45 @@ impl SobolTable {
             })
             .collect();
         order.sort_unstable();
-        SobolTable {
-            points: order.iter().map(|&(_, i)| parts::sobol_int4_rev(i.reverse_bits(), 0)).collect(),
+        let mut blocks = vec![[[0; 16]; 4]; order.len().div_ceil(16)];
+        for (k, (_, i)) in order.iter().enumerate() {
+            for (d, lanes) in blocks[k / 16].iter_mut().enumerate() {
+                lanes[k % 16] = parts::sobol_rev(i.reverse_bits(), d as u32);
+            }
         }
+        SobolTable { blocks, len: order.len() }
     }
 
     /// Number of points.
     pub fn len(&self) -> usize {
-        self.points.len()
+        self.len
     }
 
     /// Never true: a table holds at least one point.
     pub fn is_empty(&self) -> bool {
-        self.points.is_empty()
+        self.len == 0
     }
 
-    /// Point `k` under one scrambling: [0, 1)^4.
+    /// Points `16 k` to `16 k + 15` under one scrambling, by dimension, in [0, 1).
     #[inline]
-    pub fn point(&self, k: usize, scramble: &Scramble) -> [f32; 4] {
-        parts::owen_scramble_int4_rev(self.points[k], scramble.0).reverse_bits().to_f32_norm()
+    pub fn block(&self, k: usize, scramble: &Scramble) -> [[f32; 16]; 4] {
+        let mut out = [[0.0; 16]; 4];
+        for (d, lanes) in out.iter_mut().enumerate() {
+            for (x, bits) in lanes.iter_mut().zip(&self.blocks[k][d]) {
+                *x = parts::u32_to_f32_norm(parts::owen_scramble_rev(*bits, scramble.0[d]).reverse_bits());
+            }
+        }
+        out
     }
 }
 
 /// One Owen scrambling of a [`SobolTable`]: independent seeds give independent randomisations.
-pub struct Scramble(parts::Int4);
+pub struct Scramble([u32; 4]);
 
 impl Scramble {
     /// The scrambling with this seed, different in each of the four dimensions.
     pub fn new(seed: u32) -> Scramble {
-        let lane = |k: u32| seed_of(&[seed, k]);
-        Scramble([lane(0), lane(1), lane(2), lane(3)].into())
+        Scramble([0, 1, 2, 3].map(|d| seed_of(&[seed, d])))
     }
 }
 
@@ -134,8 +145,13 @@ mod tests {
         for seed in [1, 77, 12345] {
             let scramble = Scramble::new(seed);
             let mut cells = [0; 256];
-            for k in 0..256 {
-                let p = table.point(k, &scramble);
+            let points: Vec<[f32; 4]> = (0..256)
+                .map(|k| {
+                    let block = table.block(k / 16, &scramble);
+                    [0, 1, 2, 3].map(|d| block[d][k % 16])
+                })
+                .collect();
+            for p in &points {
                 assert!(p.iter().all(|x| (0.0..1.0).contains(x)));
                 // Dimensions 0 and 1 form a (0, 8, 2)-net: one point in each 1/16 x 1/16 cell.
                 cells[(p[0] * 16.0) as usize * 16 + (p[1] * 16.0) as usize] += 1;
@@ -144,7 +160,7 @@ mod tests {
             // Sixteen neighbours stay within one elementary interval of the direction.
             for block in 0..16 {
                 let cell = |k: usize| {
-                    let p = table.point(block * 16 + k, &scramble);
+                    let p = points[block * 16 + k];
                     ((p[2] * 4.0) as u32, (p[3] * 4.0) as u32)
                 };
                 assert!((1..16).all(|k| cell(k) == cell(0)), "block {block}");

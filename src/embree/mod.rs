@@ -13,7 +13,7 @@ mod sys;
 #[cfg(test)]
 mod tests;
 
-pub use packet::{LANES, RayPacket, ShadowPacket};
+pub use packet::{LANES, RayLanes, RayPacket, ShadowPacket};
 pub use ray::{Hit, Ray};
 pub use scene::CommittedScene;
 

@@ -3,6 +3,9 @@
 use super::sys;
 use glam::Vec3;
 
+/// Embree's own limit on coordinates.
+pub(super) const LIMIT: f32 = 1.8e18;
+
 /// A ray segment; the direction need not be a unit vector, distances count in its length.
 #[derive(Clone, Copy, Debug)]
 pub struct Ray {
@@ -33,9 +36,9 @@ impl Ray {
     /// process, so a ray that is none never gets there and simply hits nothing.
     #[inline]
     pub(super) fn is_valid(&self) -> bool {
-        // A sum of magnitudes is NaN or infinite if any part is; Embree's own limit is 1.8e18.
+        // A sum of magnitudes is NaN or infinite if any part is.
         let size = self.origin.abs().element_sum() + self.direction.abs().element_sum();
-        size < 1.8e18 && self.tnear >= 0.0 && self.tfar >= self.tnear
+        size < LIMIT && self.tnear >= 0.0 && self.tfar >= self.tnear
     }
 
     #[inline]

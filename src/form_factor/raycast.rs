@@ -5,12 +5,12 @@
 //! Owen-scrambled Sobol points in four dimensions; every row has several independent scramblings.
 
 use super::matrix::{ExchangeMatrix, RowSummary};
+use super::source::{Source, lane};
 use super::specular::{Chains, Link, pass_on};
 use crate::color::Rgb;
-use crate::embree::{Ray, RayPacket};
+use crate::embree::RayPacket;
 use crate::emitters::{Emitters, Passage, cosine_density, mis_share};
-use crate::geometry::Frame;
-use crate::mesh::{Mesh, NONE, Sides, side_index};
+use crate::mesh::{Grid, Mesh, NONE, Sides};
 use crate::sampling::{MAX_POINTS, Scramble, SobolTable, seed_of};
 use crate::scene::Scene;
 use crate::visibility::{SurfaceHit, Visibility};
@@ -18,7 +18,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 /// Elements that one task casts: small enough to share the work, large enough to keep its buffers.
-const BLOCK: usize = 16;
+pub(super) const BLOCK: usize = 16;
 
 /// How to cast.
 #[derive(Clone, Copy)]
@@ -86,7 +86,6 @@ pub fn cast(
     let scene = visibility.scene();
     let batches = casting.batches.max(casting.rays.div_ceil(MAX_POINTS)).clamp(1, casting.rays.max(1));
     let per_batch = casting.rays.max(1).div_ceil(batches);
-    let kinds = side_kinds(scene, casting);
     let coloured =
         casting.specular && scene.materials.iter().any(|m| m.is_specular() && !m.has_grey_specular());
     let shared = Shared {
@@ -97,7 +96,7 @@ pub fn cast(
         batches,
         channels: if coloured { 3 } else { 1 },
         chains: Chains::new(visibility, casting.emitters.map(|e| e.0)),
-        kinds,
+        targets: targets(scene, mesh, casting),
     };
     let n = mesh.len();
     let blocks: Vec<Block> = (0..n.div_ceil(BLOCK))
@@ -143,24 +142,31 @@ fn join(blocks: Vec<Block>, shared: &Shared, n: usize) -> (ExchangeMatrix, Vec<E
     (matrix, emitted)
 }
 
-fn side_kinds(scene: &Scene, casting: &Casting) -> Vec<u8> {
-    let mut kinds = vec![0; 2 * scene.faces.len()];
-    for (k, face) in scene.faces.iter().enumerate() {
-        let material = scene.material(face);
-        for front in [true, false] {
-            let side = side_index(k as u32, front);
-            if casting.emitters.is_some_and(|(e, _)| e.at(k as u32, front).is_some()) {
-                kinds[side] |= EMITTER;
-            }
-            if casting.specular && material.is_specular() && (front || material.two_sided) {
-                kinds[side] |= SPECULAR;
-            }
-            if casting.reached.is_some_and(|r| !r.contains(k as u32, front)) {
-                kinds[side] |= UNREACHED;
-            }
-        }
-    }
-    kinds
+/// All that a hit needs to know of its face, side by side in memory.
+#[derive(Clone, Copy)]
+struct Target {
+    normal: Vec3,
+    grid: Grid,
+    /// First element by side, or [`NONE`].
+    first: [u32; 2],
+    kind: [u8; 2],
+}
+
+fn targets(scene: &Scene, mesh: &Mesh, casting: &Casting) -> Vec<Target> {
+    let kind = |k: u32, front: bool| {
+        let material = scene.material(&scene.faces[k as usize]);
+        let emitter = casting.emitters.is_some_and(|(e, _)| e.at(k, front).is_some());
+        let specular = casting.specular && material.is_specular() && (front || material.two_sided);
+        let unreached = casting.reached.is_some_and(|r| !r.contains(k, front));
+        EMITTER * u8::from(emitter) | SPECULAR * u8::from(specular) | UNREACHED * u8::from(unreached)
+    };
+    let target = |k: u32| Target {
+        normal: scene.faces[k as usize].normal.as_vec3(),
+        grid: *mesh.grid(k),
+        first: [mesh.first(k, true), mesh.first(k, false)],
+        kind: [kind(k, true), kind(k, false)],
+    };
+    (0..scene.faces.len() as u32).map(target).collect()
 }
 
 struct Shared<'a, 's> {
@@ -171,7 +177,7 @@ struct Shared<'a, 's> {
     batches: u32,
     channels: usize,
     chains: Chains<'a, 's>,
-    kinds: Vec<u8>,
+    targets: Vec<Target>,
 }
 
 #[derive(Default)]
@@ -195,74 +201,6 @@ impl Scratch {
     fn new(n: usize, channels: usize) -> Scratch {
         Scratch { weight: vec![0.0; n * channels], touched: Vec::new(), packet: RayPacket::new() }
     }
-}
-
-/// One element's rays: origins and the frame of their directions, in single precision.
-struct Source {
-    origin: Vec3,
-    a: Vec3,
-    b: Vec3,
-    x: Vec3,
-    y: Vec3,
-    z: Vec3,
-    triangle: bool,
-    face: u32,
-    normal: DVec3,
-}
-
-impl Source {
-    fn new(visibility: &Visibility, mesh: &Mesh, element: u32) -> Source {
-        let scene = visibility.scene();
-        let (face, _, cell) = mesh.place(element);
-        let (p0, e1, e2) = scene.face_frame(&scene.faces[face as usize]);
-        let grid = mesh.grid(face);
-        let (o, a, b) = grid.cell_frame(cell);
-        let normal = mesh.normal(scene, element);
-        let frame = Frame::new(normal);
-        let edge = |d: glam::DVec2| (d.x * e1 + d.y * e2).as_vec3();
-        Source {
-            origin: visibility.leave(p0 + o.x * e1 + o.y * e2, normal),
-            a: edge(a),
-            b: edge(b),
-            x: frame.x.as_vec3(),
-            y: frame.y.as_vec3(),
-            z: frame.z.as_vec3(),
-            triangle: grid.triangle,
-            face,
-            normal,
-        }
-    }
-
-    #[inline]
-    fn ray(&self, p: [f32; 4]) -> (Vec3, Vec3) {
-        let (s, t) = if !self.triangle {
-            (p[0], p[1])
-        } else if p[1] > p[0] {
-            (0.5 * p[0], p[1] - 0.5 * p[0])
-        } else {
-            (p[0] - 0.5 * p[1], 0.5 * p[1])
-        };
-        let (dx, dy) = disc(p[2], p[3]);
-        let dz = (1.0 - dx * dx - dy * dy).max(0.0).sqrt();
-        (self.origin + s * self.a + t * self.b, dx * self.x + dy * self.y + dz * self.z)
-    }
-}
-
-/// [`crate::sampling::concentric_disc`] in single precision; the angle stays within 45 degrees, where
-/// short polynomials give sine and cosine to 1e-7.
-#[inline]
-fn disc(u: f32, v: f32) -> (f32, f32) {
-    let (a, b) = (2.0 * u - 1.0, 2.0 * v - 1.0);
-    let swap = a.abs() <= b.abs();
-    let (r, q) = if swap { (b, a) } else { (a, b) };
-    if r == 0.0 {
-        return (0.0, 0.0);
-    }
-    let phi = std::f32::consts::FRAC_PI_4 * (q / r);
-    let p2 = phi * phi;
-    let sin = phi * (1.0 + p2 * (-1.0 / 6.0 + p2 * (1.0 / 120.0 + p2 * (-1.0 / 5040.0))));
-    let cos = 1.0 + p2 * (-0.5 + p2 * (1.0 / 24.0 + p2 * (-1.0 / 720.0 + p2 * (1.0 / 40320.0))));
-    if swap { (r * sin, r * cos) } else { (r * cos, r * sin) }
 }
 
 impl Shared<'_, '_> {
@@ -338,31 +276,38 @@ impl Shared<'_, '_> {
         let scramble = Scramble::new(seed);
         let n = self.table.len();
         *rays += n as u64;
-        let mut lanes = [(Vec3::ZERO, Vec3::ZERO); 16];
+        let mut escaped = 0u32;
         for base in (0..n).step_by(16) {
             let count = (n - base).min(16);
-            if count < 16 {
-                scratch.packet.clear();
-            }
-            for (k, lane) in lanes.iter_mut().enumerate().take(count) {
-                *lane = source.ray(self.table.point(base + k, &scramble));
-                scratch.packet.set(k, &Ray::new(lane.0, lane.1));
-            }
+            let lanes = source.rays(&self.table.block(base / 16, &scramble));
+            scratch.packet.fill(&lanes, count);
             self.visibility.closest16(&mut scratch.packet, false);
-            for (k, &(origin, direction)) in lanes.iter().enumerate().take(count) {
-                let Some(hit) = self.visibility.lane(&scratch.packet, k, origin, direction, source.face)
-                else {
-                    row.escaped += Rgb::ONE;
+            for k in 0..count {
+                let (origin, direction) = lane(&lanes, k);
+                let Some(met) = scratch.packet.hit(k) else {
+                    escaped += 1;
                     continue;
                 };
-                let kind = self.kinds[side_index(hit.face, hit.front)];
+                let mut hit = SurfaceHit { face: met.face, u: met.u, v: met.v, front: true };
+                if met.face == source.face {
+                    match self.visibility.closest(origin, direction, source.face) {
+                        Some(next) => hit = next,
+                        None => {
+                            escaped += 1;
+                            continue;
+                        }
+                    }
+                }
+                let target = &self.targets[hit.face as usize];
+                hit.front = target.normal.dot(direction) < 0.0;
+                let side = usize::from(!hit.front);
+                let kind = target.kind[side];
                 if kind & UNREACHED != 0 {
                     *covered += 1;
                     continue;
                 }
-                let j = self.mesh.element(hit.face, hit.front, hit.u, hit.v);
-                if j != NONE {
-                    self.count(scratch, j, 1.0);
+                if target.first[side] != NONE {
+                    self.count(scratch, target.first[side] + target.grid.cell(hit.u, hit.v));
                 } else if kind & SPECULAR == 0 {
                     row.absorbed += Rgb::ONE;
                 }
@@ -382,16 +327,17 @@ impl Shared<'_, '_> {
                 }
             }
         }
+        row.escaped += Rgb::splat(f64::from(escaped));
     }
 
     #[inline]
-    fn count(&self, scratch: &mut Scratch, j: u32, weight: f32) {
+    fn count(&self, scratch: &mut Scratch, j: u32) {
         let k = j as usize * self.channels;
         if scratch.weight[k] == 0.0 {
             scratch.touched.push(j);
         }
         for w in &mut scratch.weight[k..k + self.channels] {
-            *w += weight;
+            *w += 1.0;
         }
     }
 
@@ -471,22 +417,5 @@ impl Shared<'_, '_> {
         row.absorbed += end.absorbed + absorbed;
         row.dropped += end.dropped;
         *rays += u64::from(end.rays);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn fast_disc_matches_the_exact_one() {
-        for i in 0..=64 {
-            for j in 0..=64 {
-                let (u, v) = (i as f32 / 64.0, j as f32 / 64.0);
-                let exact = crate::sampling::concentric_disc(f64::from(u), f64::from(v));
-                let (x, y) = disc(u, v);
-                assert!((f64::from(x) - exact.x).abs() < 1e-6 && (f64::from(y) - exact.y).abs() < 1e-6);
-            }
-        }
     }
 }
