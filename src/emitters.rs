@@ -54,6 +54,8 @@ pub struct EmitterSample {
     pub radiance: Rgb,
     /// Density per area of the emitters [m^-2].
     pub density: f64,
+    /// The emitting face.
+    pub face: u32,
 }
 
 /// How light came from an emitter to a receiver.
@@ -145,6 +147,7 @@ impl Emitters {
             normal: side.normal,
             radiance: side.radiance,
             density: side.density,
+            face: side.face,
         })
     }
 

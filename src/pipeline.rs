@@ -3,9 +3,9 @@
 
 use crate::color::Rgb;
 use crate::emitters::Emitters;
-use crate::form_factor::{self, Casting, ExchangeMatrix, pass_on};
+use crate::form_factor::{self, Casting, EmitterWork, ExchangeMatrix, pass_on};
 use crate::mesh::{Mesh, default_element_size};
-use crate::radiosity::{self, Solution};
+use crate::radiosity::{self, EmitterLight, Solution};
 use crate::scene::{Camera, Features, Scene};
 use crate::visibility::{Visibility, reachable_sides};
 use crate::{Error, Result};
@@ -133,37 +133,57 @@ pub fn solve(
     if let Some(build) = stages.iter_mut().find(|s| s.name == "build") {
         build.seconds += start.elapsed().as_secs_f64();
     }
+    let specular = Features::of(scene).specular;
     let batches = BATCHES.min(settings.rays.max(1));
     let samples = (settings.rays / 4).div_ceil(batches).max(16);
-    let (matrix, hemisphere, sampled) = stage("form-factors", mesh.len() as u64, observer, stages, || {
+    // Particles cost half of what the rows' rays cost, where they can bring anything.
+    let particles = if specular { particles_per_batch(mesh.len(), settings.rays, batches) } else { 0 };
+    let (matrix, light) = stage("form-factors", mesh.len() as u64, observer, stages, || {
+        let work = EmitterWork { samples: batches * samples, particles: batches * particles };
         let casting = Casting {
             rays: settings.rays,
             batches,
             seed: settings.seed,
-            specular: Features::of(scene).specular,
+            specular,
             reached: Some(&reached),
-            emitters: (!emitters.is_empty()).then_some((emitters, batches * samples)),
+            emitters: (!emitters.is_empty()).then_some((emitters, work)),
             progress: &|n| observer(Event::Advance(n)),
         };
         let (matrix, hemisphere) = form_factor::cast(visibility, &mesh, &casting);
+        let per_row = matrix.rays_per_row;
+        let mut light = EmitterLight { hemisphere, sampled: Vec::new(), particles: None };
         let mut rays = matrix.rays;
-        let sampled = if emitters.is_empty() {
-            Vec::new()
-        } else {
-            rays += mesh.len() as u64 * u64::from(batches * samples);
-            let rays_per_row = matrix.rays_per_row;
-            radiosity::sample_emitters(
-                visibility,
-                &mesh,
-                emitters,
-                (batches, samples),
-                rays_per_row,
-                settings.seed,
-            )
-        };
-        ((matrix, hemisphere, sampled), rays)
-    });
-    stage("solve", 0, observer, stages, || (finish(scene, mesh, &matrix, emitters, &hemisphere, &sampled), 0))
+        if !emitters.is_empty() {
+            rays += mesh.len() as u64 * u64::from(work.samples);
+            let seed = settings.seed;
+            light.sampled =
+                radiosity::sample_emitters(visibility, &mesh, emitters, (batches, samples), per_row, seed);
+            if particles > 0 && !mesh.is_empty() {
+                match radiosity::trace_particles(
+                    visibility,
+                    &mesh,
+                    emitters,
+                    (batches, particles),
+                    per_row,
+                    seed,
+                ) {
+                    Ok(caustic) => {
+                        rays += caustic.rays;
+                        light.particles = Some(caustic);
+                    }
+                    Err(e) => return (Err(e), rays),
+                }
+            }
+        }
+        (Ok((matrix, light)), rays)
+    })?;
+    stage("solve", 0, observer, stages, || (finish(scene, mesh, &matrix, emitters, light), 0))
+}
+
+/// Particles of one randomisation, for specular chains: half as many in all as the rows have rays.
+fn particles_per_batch(elements: usize, rays: u32, batches: u32) -> u32 {
+    let all = elements as f64 * f64::from(rays) * 0.5;
+    (all.clamp(65_536.0, 1e9) / f64::from(batches)) as u32
 }
 
 fn finish(
@@ -171,8 +191,7 @@ fn finish(
     mesh: Mesh,
     matrix: &ExchangeMatrix,
     emitters: &Emitters,
-    hemisphere: &[form_factor::EmitterIrradiance],
-    sampled: &[form_factor::EmitterIrradiance],
+    light: EmitterLight,
 ) -> Result<Pass1Result> {
     let keep = |e: u32| {
         let material = scene.material(&scene.faces[mesh.place(e).0 as usize]);
@@ -196,6 +215,6 @@ fn finish(
             100.0 * residuals.dropped
         ));
     }
-    let solution = radiosity::solve(scene, mesh, matrix, emitters, hemisphere, sampled, TOLERANCE)?;
+    let solution = radiosity::solve(scene, mesh, matrix, emitters, light, TOLERANCE)?;
     Ok(Pass1Result { solution, residuals, stored: matrix.stored(), matrix_bytes: matrix.bytes(), warnings })
 }

@@ -8,7 +8,7 @@ mod specular;
 mod table;
 
 pub use matrix::{ExchangeMatrix, RowSummary};
-pub use raycast::{Casting, EmitterIrradiance, cast};
+pub use raycast::{Casting, EmitterIrradiance, EmitterWork, cast};
 pub use source::time_embree;
 pub use specular::{ChainEnd, Chains, Link, pass_on};
 pub use table::ObjectTable;

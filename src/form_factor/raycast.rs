@@ -34,11 +34,20 @@ pub struct Casting<'a> {
     /// Sides that light can reach: a ray that lands elsewhere started on a covered part of its
     /// element and does not count. None: every ray counts.
     pub reached: Option<&'a Sides>,
-    /// Emitters whose light is gathered on the way, and the number of their own samples that share
-    /// the work by multiple importance sampling.
-    pub emitters: Option<(&'a Emitters, u32)>,
+    /// Emitters whose light is gathered on the way, and their own samples, which share the work by
+    /// multiple importance sampling.
+    pub emitters: Option<(&'a Emitters, EmitterWork)>,
     /// Called with the number of elements finished.
     pub progress: &'a (dyn Fn(u64) + Sync),
+}
+
+/// Samples of the emitters that share their light with the hemisphere rays.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct EmitterWork {
+    /// Samples of the emitters' area, an element.
+    pub samples: u32,
+    /// Particles from the emitters in all, for specular chains.
+    pub particles: u32,
 }
 
 /// Irradiance from emitters that hemisphere rays found, by passage [W m^-2], over the whole
@@ -61,6 +70,14 @@ impl EmitterIrradiance {
             Passage::Image => self.image += irradiance,
             Passage::Chain => self.chain += irradiance,
         }
+    }
+}
+
+impl std::ops::Mul<f64> for EmitterIrradiance {
+    type Output = EmitterIrradiance;
+
+    fn mul(self, f: f64) -> EmitterIrradiance {
+        EmitterIrradiance { straight: self.straight * f, image: self.image * f, chain: self.chain * f }
     }
 }
 
@@ -125,7 +142,7 @@ fn join(blocks: Vec<Block>, shared: &Shared, n: usize) -> (ExchangeMatrix, Vec<E
         columns: Vec::with_capacity(stored),
         values: Vec::with_capacity(stored * shared.channels),
         summary: Vec::with_capacity(n),
-        rays_per_row: shared.batches * shared.table.len() as u32,
+        rays_per_row: shared.rays_per_row(),
         rays: 0,
     };
     let mut emitted = Vec::new();
@@ -204,6 +221,10 @@ impl Scratch {
 }
 
 impl Shared<'_, '_> {
+    fn rays_per_row(&self) -> u32 {
+        self.batches * self.table.len() as u32
+    }
+
     fn block(&self, scratch: &mut Scratch, elements: std::ops::Range<usize>) -> Block {
         let mut block = Block::default();
         for element in elements {
@@ -239,11 +260,7 @@ impl Shared<'_, '_> {
             scratch.touched.clear();
             if self.casting.emitters.is_some() {
                 let scale = 1.0 / self.table.len() as f64;
-                block.emitted.push(EmitterIrradiance {
-                    straight: emitted.straight * scale,
-                    image: emitted.image * scale,
-                    chain: emitted.chain * scale,
-                });
+                block.emitted.push(emitted * scale);
             }
         }
         let open = total - covered;
@@ -363,19 +380,15 @@ impl Shared<'_, '_> {
 
     /// Irradiance from an emitter at the end of a path, shared with the emitters' own samples.
     fn emission(&self, source: &Source, first: DVec3, link: &Link, emitted: &mut EmitterIrradiance) {
-        let Some((emitters, samples)) = self.casting.emitters else { return };
+        let Some((emitters, work)) = self.casting.emitters else { return };
         let Some((radiance, density)) = emitters.at(link.hit.face, link.hit.front) else { return };
+        let rays = f64::from(self.rays_per_row());
         let share = if link.passage == Passage::Chain {
-            1.0
+            mis_share(rays, 1.0 / source.area, f64::from(work.particles), density)
         } else {
             let normal = self.visibility.scene().faces[link.hit.face as usize].normal;
             let q = density * link.length * link.length / link.direction.dot(normal).abs();
-            mis_share(
-                f64::from(self.casting.rays),
-                cosine_density(first.dot(source.normal)),
-                f64::from(samples),
-                q,
-            )
+            mis_share(rays, cosine_density(first.dot(source.normal)), f64::from(work.samples), q)
         };
         emitted.add(link.passage, std::f64::consts::PI * radiance * link.weight * share);
     }

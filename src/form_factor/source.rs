@@ -21,6 +21,7 @@ pub(super) struct Source {
     triangle: bool,
     pub(super) face: u32,
     pub(super) normal: DVec3,
+    pub(super) area: f64,
 }
 
 impl Source {
@@ -43,6 +44,7 @@ impl Source {
             triangle: grid.triangle,
             face,
             normal,
+            area: mesh.area(element),
         }
     }
 

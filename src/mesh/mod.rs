@@ -255,6 +255,11 @@ impl Mesh {
         self.side_of.len()
     }
 
+    /// The sides that have elements.
+    pub fn sides(&self) -> Sides {
+        Sides(self.first.iter().map(|f| *f != NONE).collect())
+    }
+
     /// No surface takes part in diffuse exchange.
     pub fn is_empty(&self) -> bool {
         self.side_of.is_empty()

@@ -96,11 +96,6 @@ impl Sampler<'_, '_> {
         if used > 0 {
             flush(&mut packet, &pending[..used], &mut sum);
         }
-        let scale = 1.0 / f64::from(count.max(1));
-        EmitterIrradiance {
-            straight: sum.straight * scale,
-            image: sum.image * scale,
-            chain: sum.chain * scale,
-        }
+        sum * (1.0 / f64::from(count.max(1)))
     }
 }

@@ -1,11 +1,13 @@
 //! Pass 1: the diffuse light of the whole scene, independent of any view.
 
+mod caustic;
 mod direct;
 mod file;
 mod ledger;
 mod reconstruct;
 mod solve;
 
+pub use caustic::{Caustic, CausticMap, trace_particles};
 pub use direct::sample_emitters;
 pub use ledger::Ledger;
 pub use reconstruct::Field;
@@ -43,9 +45,11 @@ pub struct Solution {
     pub reflected: Field,
     /// The part of `reflected` that pass 2 does not sample anew from emitters and their mirror images.
     pub indirect: Field,
-    /// The part of `reflected` from emitters by specular chains that pass 2 cannot sample; none
-    /// where the scene has no such chains.
+    /// The part of `reflected` from emitters by specular chains that pass 2 cannot sample, as far as
+    /// hemisphere rays found it; none where the scene has no such chains.
     pub caustic: Option<Field>,
+    /// The rest of that part, as particles found it; `indirect` leaves it out.
+    pub caustic_map: Option<CausticMap>,
 }
 
 impl Solution {
@@ -55,67 +59,72 @@ impl Solution {
     }
 }
 
+/// Light from emitters as the three kinds of samples found it, by (row, randomisation); empty where there
+/// are none.
+pub struct EmitterLight {
+    /// By the rays of the matrix.
+    pub hemisphere: Vec<EmitterIrradiance>,
+    /// By samples of the emitters' area.
+    pub sampled: Vec<EmitterIrradiance>,
+    /// By particles.
+    pub particles: Option<Caustic>,
+}
+
 /// Irradiance on an element from each kind of source [W m^-2].
 #[derive(Debug, Clone, Copy, Default)]
 struct Sources {
     emitters: EmitterIrradiance,
+    particles: Rgb,
     environment: Rgb,
 }
 
 impl Sources {
     fn total(&self) -> Rgb {
-        self.emitters.straight + self.emitters.image + self.emitters.chain + self.environment
+        self.emitters.straight + self.emitters.image + self.emitters.chain + self.particles + self.environment
     }
 }
 
 /// Solves for the radiosity of every element.
 ///
-/// `hemisphere` and `sampled` hold the emitters' irradiance by (row, randomisation), from the rays of
-/// the matrix and from the emitters' own samples; both empty where there is no emitter.
 pub fn solve(
     scene: &Scene,
     mesh: Mesh,
     matrix: &ExchangeMatrix,
     emitters: &Emitters,
-    hemisphere: &[EmitterIrradiance],
-    sampled: &[EmitterIrradiance],
+    light: EmitterLight,
     tolerance: f64,
 ) -> crate::Result<Solution> {
     let n = mesh.len();
     let batches = matrix.batches();
-    let opposite: Vec<u32> = if scene.materials.iter().any(|m| m.is_translucent()) {
-        (0..n as u32).map(|e| mesh.opposite(e)).collect()
-    } else {
-        vec![NONE; n]
+    let transport = Transport::of(scene, &mesh);
+    // Means over the open part of each element: covered parts receive nothing and are not seen.
+    let open = |row: usize| match matrix.summary[row].exposed {
+        o if o > 0.0 => 1.0 / o,
+        _ => 0.0,
     };
-    let transport = Transport::new(scene, &mesh, opposite);
     let by_batch = |row: usize, batch: usize| -> EmitterIrradiance {
         let mut sum = EmitterIrradiance::default();
-        for part in [hemisphere, sampled] {
+        for part in [&light.hemisphere, &light.sampled] {
             if let Some(e) = part.get(row * batches + batch) {
                 sum += *e;
             }
         }
-        // Means over the open part of the element: covered parts receive nothing and are not seen.
-        let open = matrix.summary[row].exposed;
-        let scale = if open > 0.0 { 1.0 / open } else { 0.0 };
-        EmitterIrradiance {
-            straight: sum.straight * scale,
-            image: sum.image * scale,
-            chain: sum.chain * scale,
-        }
+        sum * open(row)
+    };
+    let particles = |row: usize, batch: usize| -> Rgb {
+        light.particles.as_ref().map_or(Rgb::ZERO, |p| p.by_element[row * batches + batch] * open(row))
     };
     let sources: Vec<Sources> = (0..n)
         .map(|row| {
-            let mut emitters = EmitterIrradiance::default();
+            let mut sum = Sources {
+                environment: matrix.summary[row].escaped * scene.environment * PI,
+                ..Default::default()
+            };
             for batch in 0..batches {
-                emitters += by_batch(row, batch);
+                sum.emitters += by_batch(row, batch) * (1.0 / batches as f64);
+                sum.particles += particles(row, batch) / batches as f64;
             }
-            let scale = 1.0 / batches as f64;
-            emitters.straight *= scale;
-            emitters.image *= scale;
-            emitters.chain *= scale;
-            Sources { emitters, environment: matrix.summary[row].escaped * scene.environment * PI }
+            sum
         })
         .collect();
     let incident: Vec<Rgb> = sources.iter().map(Sources::total).collect();
@@ -125,7 +134,7 @@ pub fn solve(
     let irradiance: Vec<Rgb> = incident.iter().zip(&exchanged).map(|(a, b)| *a + *b).collect();
     let standard_error = standard_errors(matrix, &transport, &reflected, |row, batch| {
         let e = by_batch(row, batch);
-        e.straight + e.image + e.chain
+        e.straight + e.image + e.chain + particles(row, batch)
     });
     let emitted: Vec<Rgb> = (0..n as u32)
         .map(|e| {
@@ -140,7 +149,8 @@ pub fn solve(
     let direct = part(&|s| s.emitters.straight);
     let image = part(&|s| s.emitters.image);
     let chain = part(&|s| s.emitters.chain);
-    let indirect: Vec<Rgb> = (0..n).map(|e| reflected[e] - direct[e] - image[e]).collect();
+    let mapped = part(&|s| s.particles);
+    let indirect: Vec<Rgb> = (0..n).map(|e| reflected[e] - direct[e] - image[e] - mapped[e]).collect();
     let nodes = Nodes::new(scene, &mesh);
     let open: Vec<f64> = matrix.summary.iter().map(|s| s.exposed).collect();
     let field = |values: &[Rgb]| Field::new(&mesh, &nodes, &open, values);
@@ -151,6 +161,7 @@ pub fn solve(
         reflected: field(&reflected),
         indirect: field(&indirect),
         caustic: has_caustic.then(|| field(&chain)),
+        caustic_map: light.particles.and_then(|p| p.map),
         emitted,
         irradiance,
         direct,
@@ -173,7 +184,11 @@ pub struct Transport {
 }
 
 impl Transport {
-    fn new(scene: &Scene, mesh: &Mesh, opposite: Vec<u32>) -> Transport {
+    /// The materials of a mesh's elements.
+    pub fn of(scene: &Scene, mesh: &Mesh) -> Transport {
+        let translucent = scene.materials.iter().any(|m| m.is_translucent());
+        let opposite =
+            (0..mesh.len() as u32).map(|e| if translucent { mesh.opposite(e) } else { NONE }).collect();
         let material = |e: u32| scene.material(&scene.faces[mesh.place(e).0 as usize]);
         let n = mesh.len() as u32;
         Transport {

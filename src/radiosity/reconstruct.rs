@@ -21,6 +21,15 @@ impl Field {
     /// Brings one value an element to the nodes; `open` is each element's uncovered share, its weight.
     /// Nodes never go below zero nor beyond the values of the cells around them by more than these differ.
     pub fn new(mesh: &Mesh, nodes: &Nodes, open: &[f64], values: &[Rgb]) -> Field {
+        Field::corrected(mesh, nodes, open, values, CORRECTIONS)
+    }
+
+    /// Like [`Field::new`] without the correction, which would sharpen noise as well.
+    pub fn smooth(mesh: &Mesh, nodes: &Nodes, open: &[f64], values: &[Rgb]) -> Field {
+        Field::corrected(mesh, nodes, open, values, 0)
+    }
+
+    fn corrected(mesh: &Mesh, nodes: &Nodes, open: &[f64], values: &[Rgb], corrections: usize) -> Field {
         let corners: Vec<([usize; 4], f64)> = (0..mesh.len() as u32)
             .map(|e| {
                 let (face, front, cell) = mesh.place(e);
@@ -53,7 +62,7 @@ impl Field {
             sum
         };
         let mut field = spread(&|e| values[e]);
-        for _ in 0..CORRECTIONS {
+        for _ in 0..corrections {
             let missing = spread(&|e| {
                 let (ids, count) = &corners[e];
                 values[e] - ids[..*count as usize].iter().map(|&id| field[id]).sum::<Rgb>() / *count

@@ -33,6 +33,10 @@ impl Context<'_, '_> {
             _ => Quality::Direct,
         };
         let read = |field: Option<&Field>| self.read(field, at.face, at.front, at.u, at.v);
+        let mapped = || {
+            let map = self.solution.and_then(|s| s.caustic_map.as_ref());
+            map.and_then(|m| m.at((at.face, at.front), at.u, at.v)).unwrap_or(Rgb::ZERO)
+        };
         let sampled = |gather: bool| {
             let mut r = Rgb::ZERO;
             if material.diffuse != Rgb::ZERO {
@@ -46,8 +50,10 @@ impl Context<'_, '_> {
         };
         let radiosity = match quality {
             Quality::Mesh => read(self.solution.map(|s| &s.reflected)),
-            Quality::Direct => read(self.solution.map(|s| &s.indirect)) + sampled(false),
-            Quality::Gather => read(self.solution.and_then(|s| s.caustic.as_ref())) + sampled(true),
+            Quality::Direct => read(self.solution.map(|s| &s.indirect)) + mapped() + sampled(false),
+            Quality::Gather => {
+                read(self.solution.and_then(|s| s.caustic.as_ref())) + mapped() + sampled(true)
+            }
         };
         radiosity / PI
     }
