@@ -10,6 +10,7 @@ pub mod form_factor;
 pub mod geometry;
 pub mod image;
 pub mod mesh;
+pub mod output;
 pub mod pipeline;
 pub mod radiosity;
 pub mod render;

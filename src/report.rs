@@ -1,5 +1,6 @@
 //! What a run did, as data: the `--report` file (DESIGN section 6).
 
+use crate::output::write_whole;
 use crate::pipeline::{Pass1, Pass1Result, Residuals, Stage};
 use crate::radiosity::Ledger;
 use crate::scene::{Features, Scene};
@@ -145,7 +146,7 @@ impl Report {
         let (rays, seconds) =
             stages.iter().filter(|s| s.rays > 0).fold((0, 0.0), |(r, t), s| (r + s.rays, t + s.seconds));
         Report {
-            command: std::env::args().collect(),
+            command: command_line(),
             scene: scene.path.display().to_string(),
             versions,
             threads: rayon::current_num_threads(),
@@ -173,17 +174,9 @@ impl Report {
     }
 }
 
-/// Writes a file beside its name and renames it: the file either is whole or does not exist.
-pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
-    let mut name = path.file_name().unwrap_or_default().to_os_string();
-    name.push(format!(".{}.partial", std::process::id()));
-    let temporary = path.with_file_name(name);
-    let written = std::fs::write(&temporary, bytes).and_then(|()| std::fs::rename(&temporary, path));
-    written.map_err(|e| {
-        // Nothing to remove where the directory itself is missing.
-        let _ = std::fs::remove_file(&temporary);
-        Error::io(path, e)
-    })
+/// The process's arguments; what is not Unicode in them is replaced.
+pub fn command_line() -> Vec<String> {
+    std::env::args_os().map(|a| a.to_string_lossy().into_owned()).collect()
 }
 
 /// Peak resident memory of this process [bytes]; 0 where the system does not say.
