@@ -216,7 +216,7 @@ impl Mesh {
     /// Sides whose material neither reflects nor transmits diffusely get no elements unless
     /// `with_black` asks for them (form factors do not care for materials).
     pub fn new(scene: &Scene, sides: &Sides, element_size: f64, with_black: bool) -> Result<Mesh> {
-        if !(element_size > 0.0) {
+        if element_size.is_nan() || element_size <= 0.0 {
             return Err(Error::Usage(format!("element size {element_size} m: must be above zero")));
         }
         let mut grids: Vec<Grid> = scene.faces.iter().map(|f| Grid::of(scene, f, element_size)).collect();
