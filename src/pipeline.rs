@@ -38,7 +38,7 @@ pub type Observer<'a> = &'a (dyn Fn(Event) + Sync);
 pub struct Stage {
     /// `load`, `build`, `form-factors`, `solve`, `trace` or `write`.
     pub name: &'static str,
-    /// Wall time [s].
+    /// Wall time \[s\].
     pub seconds: f64,
     /// Rays cast.
     pub rays: u64,
@@ -65,7 +65,7 @@ pub fn stage<T>(
 pub struct Pass1 {
     /// Rays an element.
     pub rays: u32,
-    /// Largest element edge [m]; none: from the scene's extent.
+    /// Largest element edge \[m\]; none: from the scene's extent.
     pub element_size: Option<f64>,
     /// Seed.
     pub seed: u32,

@@ -44,7 +44,7 @@ pub struct StandardErrors {
 pub struct Pass1Report {
     /// What was asked for.
     pub settings: Pass1,
-    /// Largest element edge used [m].
+    /// Largest element edge used \[m\].
     pub element_size: f64,
     /// Elements.
     pub elements: usize,
@@ -54,7 +54,7 @@ pub struct Pass1Report {
     pub matrix_bytes: usize,
     /// Closure, reciprocity and the like.
     pub residuals: Residuals,
-    /// Power balance [W].
+    /// Power balance \[W\].
     pub energy: Ledger,
     /// Multiplications with the matrix.
     pub iterations: usize,
@@ -179,7 +179,7 @@ pub fn command_line() -> Vec<String> {
     std::env::args_os().map(|a| a.to_string_lossy().into_owned()).collect()
 }
 
-/// Peak resident memory of this process [bytes]; 0 where the system does not say.
+/// Peak resident memory of this process \[bytes\]; 0 where the system does not say.
 pub fn peak_memory() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"));

@@ -192,7 +192,7 @@ impl Grid {
 /// Elements of one side of a face are numbered in a row, in the order of the grid's cells.
 #[derive(Debug, Clone)]
 pub struct Mesh {
-    /// Largest cell edge asked for [m].
+    /// Largest cell edge asked for \[m\].
     pub element_size: f64,
     grids: Vec<Grid>,
     /// First element of each side, or [`NONE`].
@@ -211,7 +211,7 @@ pub fn default_element_size(scene: &Scene) -> f64 {
 }
 
 impl Mesh {
-    /// Divides the given sides of a scene's faces into cells with edges of at most `element_size` [m].
+    /// Divides the given sides of a scene's faces into cells with edges of at most `element_size` \[m\].
     ///
     /// Sides whose material neither reflects nor transmits diffusely get no elements unless
     /// `with_black` asks for them (form factors do not care for materials).
