@@ -1,5 +1,8 @@
 //! What a run did, as data: the `--report` file (DESIGN section 6).
 
+use crate::color::Rgb;
+use crate::form_factor::ExchangeMatrix;
+use crate::mesh::Mesh;
 use crate::output::write_whole;
 use crate::pipeline::{Pass1, Pass1Result, Residuals, Stage};
 use crate::radiosity::Ledger;
@@ -93,6 +96,34 @@ impl Pass1Report {
     }
 }
 
+/// Form factors in numbers.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct FactorReport {
+    /// Rays an element.
+    pub rays_per_element: u32,
+    /// Entries of the matrix.
+    pub stored_factors: usize,
+    /// Bytes of the matrix.
+    pub matrix_bytes: usize,
+    /// Largest departure of a row from closure.
+    pub closure: f64,
+    /// Departure from reciprocity between objects.
+    pub reciprocity: f64,
+}
+
+impl FactorReport {
+    /// Collects the numbers of a matrix of ordinary form factors.
+    pub fn new(scene: &Scene, mesh: &Mesh, matrix: &ExchangeMatrix) -> FactorReport {
+        FactorReport {
+            rays_per_element: matrix.rays_per_row,
+            stored_factors: matrix.stored(),
+            matrix_bytes: matrix.bytes(),
+            closure: matrix.closure_residual(|_| Rgb::ZERO),
+            reciprocity: matrix.reciprocity_residual(scene, mesh),
+        }
+    }
+}
+
 /// Reflected radiosity over irradiance, where there is any.
 fn albedo(s: &crate::radiosity::Solution, e: usize) -> crate::color::Rgb {
     let ratio = |b: f64, h: f64| if h > 0.0 { b / h } else { 0.0 };
@@ -128,6 +159,9 @@ pub struct Report {
     /// Pass 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pass1: Option<Pass1Report>,
+    /// Form factors, where they are the result.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub form_factors: Option<FactorReport>,
     /// Most memory held at once.
     pub peak_memory_bytes: u64,
     /// Warnings.
@@ -158,6 +192,7 @@ impl Report {
             stages,
             rays_per_second: if seconds > 0.0 { rays as f64 / seconds } else { 0.0 },
             pass1: None,
+            form_factors: None,
             peak_memory_bytes: peak_memory(),
             warnings,
         }

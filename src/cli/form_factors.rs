@@ -9,7 +9,7 @@ use crate::form_factor::{Casting, ObjectTable, cast};
 use crate::mesh::{Mesh, Sides, default_element_size};
 use crate::output::write_whole;
 use crate::pipeline::{self, Event, Stage};
-use crate::report::{Report, Versions};
+use crate::report::{FactorReport, Report, Versions};
 use crate::scene::load;
 use crate::visibility::Visibility;
 use crate::{Error, Result};
@@ -73,6 +73,7 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
         let mut report =
             Report::new(&scene, Versions::new(&device), args.common.seed, stages, scene.warnings.clone());
         report.elements = mesh.len();
+        report.form_factors = Some(FactorReport::new(&scene, &mesh, &matrix));
         report.write(path)?;
     }
     Ok(())
