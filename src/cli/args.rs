@@ -177,7 +177,7 @@ pub enum FactorMethodArg {
 }
 
 /// More threads than any machine has; far more would exhaust it.
-const MOST_THREADS: usize = 4096;
+const MOST_THREADS: usize = 1024;
 
 fn threads(s: &str) -> Result<usize, String> {
     match s.parse() {
