@@ -129,6 +129,12 @@ fn scenes_that_cannot_be_rendered() {
     let camera = |text: &str| Files::new(&format!("[camera]\n{text}\n{MATERIALS}"), ROOM);
     camera("origin = [0, 1, 0]\ntarget = [0, 0, 0]").render_fails(&["scene.toml:2", "up"]);
     camera("origin = [0, 1, 0]\ntarget = [0, 1, 0]").render_fails(&["scene.toml:2", "same point"]);
+    camera("origin = [0, 1, 0]\ntarget = [0, 0, 1]\nsize = [60000, 60000]").render_fails(&[
+        "scene.toml:5",
+        "size",
+        "at most",
+        "pixels",
+    ]);
     let room = Files::room();
     let args = ["render", "scene.toml", "-o", "a.exr", "--camera", "camra"];
     room.fails(&args, 1, &["no camera \"camra\"", "did you mean \"camera\""]);
@@ -289,6 +295,8 @@ fn reports_hold_the_fixed_names() {
     let (stages, report) = stages_of(&["form-factors", "room.obj", "-o", "f.npz"]);
     assert_eq!(stages, ["load", "build", "form-factors", "write"]);
     assert_eq!(report["elements"], 6 * 4 + 1);
+    assert!(report["form_factors"]["closure"].as_f64() < Some(1e-6), "{}", report["form_factors"]);
+    assert!(report["form_factors"]["reciprocity"].as_f64() < Some(0.5), "{}", report["form_factors"]);
 }
 
 #[test]

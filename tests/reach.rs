@@ -201,7 +201,7 @@ fn covered_floor_does_not_darken_the_cells_beside_the_box() {
     }
     let (whole, holed) = (whole.scene(), holed.scene());
     let results = [solve(&whole, 4096, 0.1), solve(&holed, 4096, 0.1)];
-    // Half of each cell of 0.1 is covered along the box's sides, three quarters of it at its corners less.
+    // The box's sides halve the cells that they cross.
     let under = 0.3 * 0.3;
     let area: f64 =
         (0..results[0].solution.mesh.len() as u32).map(|e| results[0].solution.mesh.area(e)).sum();
