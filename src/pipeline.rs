@@ -38,7 +38,7 @@ pub type Observer<'a> = &'a (dyn Fn(Event) + Sync);
 pub struct Stage {
     /// `load`, `build`, `form-factors`, `solve`, `trace` or `write`.
     pub name: &'static str,
-    /// Wall time [s].
+    /// Wall time \[s\].
     pub seconds: f64,
     /// Rays cast.
     pub rays: u64,
@@ -65,7 +65,7 @@ pub fn stage<T>(
 pub struct Pass1 {
     /// Rays an element.
     pub rays: u32,
-    /// Largest element edge [m]; none: from the scene's extent.
+    /// Largest element edge \[m\]; none: from the scene's extent.
     pub element_size: Option<f64>,
     /// Seed.
     pub seed: u32,
@@ -109,6 +109,15 @@ pub struct Pass1Result {
     pub warnings: Vec<String>,
 }
 
+/// Refuses a scene that nothing lights: every image of it would be black.
+pub fn require_light(scene: &Scene, emitters: &Emitters) -> Result<()> {
+    if !emitters.is_empty() || scene.environment != Rgb::ZERO {
+        return Ok(());
+    }
+    let help = "the scene has no light: give a material `emission` (or `Ke` in the MTL) or set [environment] radiance";
+    Err(Error::scene(scene.path.display().to_string(), help))
+}
+
 /// Pass 1: from a scene that is ready for rays to its radiosity.
 pub fn solve(
     visibility: &Visibility,
@@ -119,12 +128,7 @@ pub fn solve(
     stages: &mut Vec<Stage>,
 ) -> Result<Pass1Result> {
     let scene = visibility.scene();
-    if emitters.is_empty() && scene.environment == Rgb::ZERO {
-        return Err(Error::scene(
-            scene.path.display().to_string(),
-            "the scene has no light: give a material `emission` (or `Ke` in the MTL) or set [environment] radiance",
-        ));
-    }
+    require_light(scene, emitters)?;
     let size = settings.element_size.unwrap_or_else(|| default_element_size(scene));
     let frames: Vec<_> = cameras.iter().map(|c| (c.frame(scene), c.size)).collect();
     let start = Instant::now();

@@ -1,5 +1,9 @@
 //! What a run did, as data: the `--report` file (DESIGN section 6).
 
+use crate::color::Rgb;
+use crate::form_factor::ExchangeMatrix;
+use crate::mesh::Mesh;
+use crate::output::write_whole;
 use crate::pipeline::{Pass1, Pass1Result, Residuals, Stage};
 use crate::radiosity::Ledger;
 use crate::scene::{Features, Scene};
@@ -43,7 +47,7 @@ pub struct StandardErrors {
 pub struct Pass1Report {
     /// What was asked for.
     pub settings: Pass1,
-    /// Largest element edge used [m].
+    /// Largest element edge used \[m\].
     pub element_size: f64,
     /// Elements.
     pub elements: usize,
@@ -53,7 +57,7 @@ pub struct Pass1Report {
     pub matrix_bytes: usize,
     /// Closure, reciprocity and the like.
     pub residuals: Residuals,
-    /// Power balance [W].
+    /// Power balance \[W\].
     pub energy: Ledger,
     /// Multiplications with the matrix.
     pub iterations: usize,
@@ -88,6 +92,34 @@ impl Pass1Report {
             iterations: s.convergence.iterations,
             solve_residual: s.convergence.residual,
             standard_errors: StandardErrors { relative_rms, largest },
+        }
+    }
+}
+
+/// Form factors in numbers.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct FactorReport {
+    /// Rays an element.
+    pub rays_per_element: u32,
+    /// Entries of the matrix.
+    pub stored_factors: usize,
+    /// Bytes of the matrix.
+    pub matrix_bytes: usize,
+    /// Largest departure of a row from closure.
+    pub closure: f64,
+    /// Departure from reciprocity between objects.
+    pub reciprocity: f64,
+}
+
+impl FactorReport {
+    /// Collects the numbers of a matrix of ordinary form factors.
+    pub fn new(scene: &Scene, mesh: &Mesh, matrix: &ExchangeMatrix) -> FactorReport {
+        FactorReport {
+            rays_per_element: matrix.rays_per_row,
+            stored_factors: matrix.stored(),
+            matrix_bytes: matrix.bytes(),
+            closure: matrix.closure_residual(|_| Rgb::ZERO),
+            reciprocity: matrix.reciprocity_residual(scene, mesh),
         }
     }
 }
@@ -127,6 +159,9 @@ pub struct Report {
     /// Pass 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pass1: Option<Pass1Report>,
+    /// Form factors, where they are the result.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub form_factors: Option<FactorReport>,
     /// Most memory held at once.
     pub peak_memory_bytes: u64,
     /// Warnings.
@@ -145,7 +180,7 @@ impl Report {
         let (rays, seconds) =
             stages.iter().filter(|s| s.rays > 0).fold((0, 0.0), |(r, t), s| (r + s.rays, t + s.seconds));
         Report {
-            command: std::env::args().collect(),
+            command: command_line(),
             scene: scene.path.display().to_string(),
             versions,
             threads: rayon::current_num_threads(),
@@ -157,6 +192,7 @@ impl Report {
             stages,
             rays_per_second: if seconds > 0.0 { rays as f64 / seconds } else { 0.0 },
             pass1: None,
+            form_factors: None,
             peak_memory_bytes: peak_memory(),
             warnings,
         }
@@ -173,20 +209,12 @@ impl Report {
     }
 }
 
-/// Writes a file beside its name and renames it: the file either is whole or does not exist.
-pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
-    let mut name = path.file_name().unwrap_or_default().to_os_string();
-    name.push(format!(".{}.partial", std::process::id()));
-    let temporary = path.with_file_name(name);
-    let written = std::fs::write(&temporary, bytes).and_then(|()| std::fs::rename(&temporary, path));
-    written.map_err(|e| {
-        // Nothing to remove where the directory itself is missing.
-        let _ = std::fs::remove_file(&temporary);
-        Error::io(path, e)
-    })
+/// The process's arguments; what is not Unicode in them is replaced.
+pub fn command_line() -> Vec<String> {
+    std::env::args_os().map(|a| a.to_string_lossy().into_owned()).collect()
 }
 
-/// Peak resident memory of this process [bytes]; 0 where the system does not say.
+/// Peak resident memory of this process \[bytes\]; 0 where the system does not say.
 pub fn peak_memory() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"));

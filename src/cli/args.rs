@@ -26,14 +26,11 @@ pub enum Command {
 #[derive(Debug, ClapArgs)]
 pub struct Common {
     /// Threads; all cores by default. Results do not depend on it.
-    #[arg(long, value_name = "N", value_parser = positive)]
+    #[arg(long, value_name = "N", value_parser = threads, allow_negative_numbers = true)]
     pub threads: Option<usize>,
     /// Seed of every random choice.
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u32,
-    /// Write what the run did as JSON.
-    #[arg(long, value_name = "FILE.json")]
-    pub report: Option<PathBuf>,
     /// Print no progress; warnings stay.
     #[arg(long)]
     pub quiet: bool,
@@ -42,10 +39,10 @@ pub struct Common {
 #[derive(Debug, ClapArgs)]
 pub struct Pass1Args {
     /// Rays an element for form factors [default: 1024, or the scene file's].
-    #[arg(long, value_name = "N", value_parser = count)]
+    #[arg(long, value_name = "N", value_parser = count, allow_negative_numbers = true)]
     pub rays: Option<u32>,
     /// Largest edge of an element, in scene units [default: from the scene's extent].
-    #[arg(long, value_name = "L", value_parser = length)]
+    #[arg(long, value_name = "L", value_parser = length, allow_negative_numbers = true)]
     pub element_size: Option<f64>,
 }
 
@@ -66,7 +63,7 @@ pub struct RenderArgs {
     #[arg(long, value_enum)]
     pub quality: Option<QualityArg>,
     /// Samples a pixel [default: 16, 256 for path, or the scene file's].
-    #[arg(long, value_name = "N", value_parser = count)]
+    #[arg(long, value_name = "N", value_parser = count, allow_negative_numbers = true)]
     pub spp: Option<u32>,
     /// Hemisphere rays a sample at quality gather.
     #[arg(long, value_name = "N", default_value_t = 32, value_parser = count)]
@@ -86,6 +83,9 @@ pub struct RenderArgs {
     /// Exposure of PNG and JPEG [EV].
     #[arg(long, value_name = "EV", default_value_t = 0.0, allow_negative_numbers = true)]
     pub exposure: f64,
+    /// Write what the run did as JSON.
+    #[arg(long, value_name = "FILE.json")]
+    pub report: Option<PathBuf>,
     #[command(flatten)]
     pub pass1: Pass1Args,
     #[command(flatten)]
@@ -99,6 +99,9 @@ pub struct SolveArgs {
     /// File to write (.npz).
     #[arg(short, long, value_name = "SOLUTION.npz")]
     pub output: PathBuf,
+    /// Write what the run did as JSON.
+    #[arg(long, value_name = "FILE.json")]
+    pub report: Option<PathBuf>,
     #[command(flatten)]
     pub pass1: Pass1Args,
     #[command(flatten)]
@@ -118,6 +121,9 @@ pub struct FormFactorArgs {
     /// File to write: .npz (scipy.sparse.load_npz), or .json with --by-object; "-" for JSON on standard output.
     #[arg(short, long, value_name = "FILE", default_value = "-")]
     pub output: PathBuf,
+    /// Write what the run did as JSON.
+    #[arg(long, value_name = "FILE.json")]
+    pub report: Option<PathBuf>,
     #[command(flatten)]
     pub pass1: Pass1Args,
     #[command(flatten)]
@@ -170,10 +176,13 @@ pub enum FactorMethodArg {
     Ray,
 }
 
-fn positive(s: &str) -> Result<usize, String> {
+/// More threads than any machine has; far more would exhaust it.
+const MOST_THREADS: usize = 1024;
+
+fn threads(s: &str) -> Result<usize, String> {
     match s.parse() {
-        Ok(n) if n > 0 => Ok(n),
-        _ => Err("must be a whole number above zero".into()),
+        Ok(n) if (1..=MOST_THREADS).contains(&n) => Ok(n),
+        _ => Err(format!("must be a whole number from 1 to {MOST_THREADS}")),
     }
 }
 

@@ -1,13 +1,15 @@
 //! `twopass form-factors`.
 
 use super::args::{FactorMethodArg, FormFactorArgs};
+use super::check_outputs;
 use super::progress::Progress;
 use super::render::pass1;
 use crate::embree::Device;
 use crate::form_factor::{Casting, ObjectTable, cast};
 use crate::mesh::{Mesh, Sides, default_element_size};
+use crate::output::write_whole;
 use crate::pipeline::{self, Event, Stage};
-use crate::report::{Report, Versions, write_whole};
+use crate::report::{FactorReport, Report, Versions};
 use crate::scene::load;
 use crate::visibility::Visibility;
 use crate::{Error, Result};
@@ -35,6 +37,8 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
         }
         _ => return Err(Error::Usage(format!("{}: write .json or .npz", args.output.display()))),
     }
+    let file = (!to_stdout).then_some(&args.output);
+    check_outputs(&args.scene, file.into_iter().chain(&args.report))?;
     let progress = Progress::new(args.common.quiet);
     let observer = &|e| progress.tell(e);
     let mut stages: Vec<Stage> = Vec::new();
@@ -65,10 +69,11 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
     pipeline::stage("write", 0, observer, &mut stages, || {
         (write(args, to_stdout, &scene, &mesh, &matrix, seconds), 0)
     })?;
-    if let Some(path) = &args.common.report {
+    if let Some(path) = &args.report {
         let mut report =
             Report::new(&scene, Versions::new(&device), args.common.seed, stages, scene.warnings.clone());
         report.elements = mesh.len();
+        report.form_factors = Some(FactorReport::new(&scene, &mesh, &matrix));
         report.write(path)?;
     }
     Ok(())
@@ -89,7 +94,9 @@ fn write(
     let text = serde_json::to_string(&table).map_err(|e| Error::parse(&args.output, None, e.to_string()))?;
     if to_stdout {
         // A closed pipe is the reader's choice, but it must not look like success.
-        return writeln!(std::io::stdout(), "{text}").map_err(|e| Error::io("standard output", e));
+        let mut out = std::io::stdout();
+        let written = writeln!(out, "{text}").and_then(|()| out.flush());
+        return written.map_err(|e| Error::io("standard output", e));
     }
     write_whole(&args.output, format!("{text}\n").as_bytes())
 }

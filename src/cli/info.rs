@@ -2,16 +2,18 @@
 
 use super::args::InfoArgs;
 use super::render::pass1;
-use crate::Result;
+use super::say;
 use crate::embree::Device;
 use crate::mesh::{Mesh, default_element_size};
-use crate::scene::{Features, load};
+use crate::scene::{Features, Scene, load};
 use crate::visibility::{Visibility, reachable_sides};
+use crate::{Error, Result};
+use std::io::{ErrorKind, Write};
 
 pub fn run(args: &InfoArgs) -> Result<()> {
     let scene = load(&args.scene)?;
     for w in &scene.warnings {
-        eprintln!("warning: {w}");
+        say(format_args!("warning: {w}"));
     }
     let device = Device::new(rayon::current_num_threads())?;
     let visibility = Visibility::new(&device, &scene)?;
@@ -20,40 +22,47 @@ pub fn run(args: &InfoArgs) -> Result<()> {
     let reached = reachable_sides(&visibility, &frames, settings.seed);
     let size = settings.element_size.unwrap_or_else(|| default_element_size(&scene));
     let mesh = Mesh::new(&scene, &reached, size, false)?;
-    println!("{}", scene.path.display());
-    println!("  polygons      {}", scene.polygon_count);
-    println!(
-        "  faces         {} ({} triangles, {} parallelograms)",
-        scene.faces.len(),
-        scene.triangle_count,
-        scene.faces.len() - scene.triangle_count
-    );
-    println!("  objects       {}", scene.objects.join(", "));
-    println!("  centre        {} m, radius {:.6} m", scene.center, scene.radius);
-    for camera in &scene.cameras {
-        println!("  camera        {} ({} x {})", camera.name, camera.size[0], camera.size[1]);
-    }
-    println!(
-        "  sides         {} of {} can be reached by light or a camera",
-        reached.count(),
-        2 * scene.faces.len()
-    );
-    println!("  elements      {} of at most {size:.6} m", mesh.len());
-    println!("  materials");
-    for m in &scene.materials {
-        println!("    {:12} {}", m.name, describe(m));
-    }
-    println!("  modelled");
+    let mut lines = describe_scene(&scene);
+    let sides = 2 * scene.faces.len();
+    lines.push(format!("  sides         {} of {sides} can be reached by light or a camera", reached.count()));
+    lines.push(format!("  elements      {} of at most {size:.6} m", mesh.len()));
+    lines.push("  materials".into());
+    lines.extend(scene.materials.iter().map(|m| format!("    {:12} {}", m.name, describe(m))));
     let features = Features::of(&scene).list();
-    for (name, _, what) in features.iter().filter(|f| f.1) {
-        println!("    {name}: {what}");
+    lines.push("  modelled".into());
+    lines.extend(features.iter().filter(|f| f.1).map(|(name, _, what)| format!("    {name}: {what}")));
+    lines.push("  not needed, not modelled".into());
+    lines.extend(features.iter().filter(|f| !f.1).map(|(name, _, _)| format!("    {name}")));
+    lines.push(format!("  Embree {}, OpenImageIO {}", device.version(), crate::image::version()));
+    print(&lines.join("\n"))
+}
+
+/// Text on standard output. Who closes the pipe has read enough.
+fn print(text: &str) -> Result<()> {
+    let mut out = std::io::stdout();
+    match writeln!(out, "{text}").and_then(|()| out.flush()) {
+        Err(e) if e.kind() != ErrorKind::BrokenPipe => Err(Error::io("standard output", e)),
+        _ => Ok(()),
     }
-    println!("  not needed, not modelled");
-    for (name, _, _) in features.iter().filter(|f| !f.1) {
-        println!("    {name}");
+}
+
+fn describe_scene(scene: &Scene) -> Vec<String> {
+    let parallelograms = scene.faces.len() - scene.triangle_count;
+    let mut lines = vec![
+        scene.path.display().to_string(),
+        format!("  polygons      {}", scene.polygon_count),
+        format!(
+            "  faces         {} ({} triangles, {parallelograms} parallelograms)",
+            scene.faces.len(),
+            scene.triangle_count
+        ),
+        format!("  objects       {}", scene.objects.join(", ")),
+        format!("  centre        {} m, radius {:.6} m", scene.center, scene.radius),
+    ];
+    for camera in &scene.cameras {
+        lines.push(format!("  camera        {} ({} x {})", camera.name, camera.size[0], camera.size[1]));
     }
-    println!("  Embree {}, OpenImageIO {}", device.version(), crate::image::version());
-    Ok(())
+    lines
 }
 
 fn describe(m: &crate::scene::Material) -> String {

@@ -7,8 +7,13 @@ mod progress;
 mod render;
 mod solve;
 
+use crate::{Error, Result, output};
 use args::{Command, Common};
 use clap::Parser;
+use std::collections::HashSet;
+use std::fmt::Display;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// Runs the program with the process's arguments.
@@ -25,17 +30,43 @@ pub fn run() -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(e) => {
-            eprintln!("twopass: {e}");
+            say(format_args!("twopass: {e}"));
             ExitCode::from(e.exit_code())
         }
     }
 }
 
 /// Runs a command on the number of threads asked for.
-fn with_threads(common: &Common, work: impl FnOnce() -> crate::Result<()> + Send) -> crate::Result<()> {
+fn with_threads(common: &Common, work: impl FnOnce() -> Result<()> + Send) -> Result<()> {
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(common.threads.unwrap_or(0))
         .build()
-        .map_err(|e| crate::Error::Usage(format!("--threads: {e}")))?;
+        .map_err(|e| Error::Usage(format!("--threads: {e}")))?;
     pool.install(work)
+}
+
+/// A line on standard error; nobody may be there to read it.
+fn say(text: impl Display) {
+    let _ = writeln!(io::stderr(), "{text}");
+}
+
+/// Refuses outputs that cannot be written, or that would replace the scene or each other, before
+/// any work is done.
+fn check_outputs<'a>(scene: &Path, outputs: impl IntoIterator<Item = &'a PathBuf>) -> Result<()> {
+    let mut taken = HashSet::from([place(scene)]);
+    for path in outputs {
+        output::check(path)?;
+        if !taken.insert(place(path)) {
+            let message = "is the scene, or an output given twice; choose another name";
+            return Err(Error::Usage(format!("{}: {message}", path.display())));
+        }
+    }
+    Ok(())
+}
+
+/// The one name of a file that may not exist yet.
+fn place(path: &Path) -> PathBuf {
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let name = path.file_name().unwrap_or_default();
+    folder.canonicalize().unwrap_or_else(|_| folder.into()).join(name)
 }

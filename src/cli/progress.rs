@@ -1,5 +1,6 @@
 //! Progress of each stage: a bar on a terminal, plain lines elsewhere.
 
+use super::say;
 use crate::pipeline::Event;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;
@@ -53,7 +54,7 @@ impl Progress {
             Event::End => {
                 if let Some((name, start, bar)) = current.take() {
                     bar.finish_and_clear();
-                    eprintln!("{name:13} {:8.3} s", start.elapsed().as_secs_f64());
+                    say(format_args!("{name:13} {:8.3} s", start.elapsed().as_secs_f64()));
                 }
             }
         }
@@ -61,13 +62,13 @@ impl Progress {
 
     /// A warning, once.
     pub fn warn(&self, text: &str) {
-        eprintln!("warning: {text}");
+        say(format_args!("warning: {text}"));
     }
 
     /// A line of the summary, unless quiet.
     pub fn line(&self, text: &str) {
         if !self.quiet {
-            eprintln!("{text}");
+            say(text);
         }
     }
 }

@@ -1,13 +1,14 @@
 //! `twopass render`.
 
 use super::args::{EstimatorArg, MethodArg, Pass1Args, QualityArg, RenderArgs};
+use super::check_outputs;
 use super::progress::Progress;
 use crate::embree::Device;
 use crate::emitters::Emitters;
 use crate::image::{self, WriteOptions};
 use crate::pipeline::{self, Pass1, Stage};
 use crate::render::{Estimator, Method, Quality, Settings, render};
-use crate::report::{Pass1Report, Report, Versions};
+use crate::report::{Pass1Report, Report, Versions, command_line};
 use crate::scene::{Scene, load};
 use crate::visibility::Visibility;
 use crate::{Error, Result};
@@ -16,6 +17,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     for output in &args.output {
         image::supported(output)?;
     }
+    check_outputs(&args.scene, args.output.iter().chain(&args.report))?;
     if !args.exposure.is_finite() {
         return Err(Error::Usage("--exposure must be a finite number".into()));
     }
@@ -32,6 +34,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     let visibility =
         pipeline::stage("build", 0, observer, &mut stages, || (Visibility::new(&device, &scene), 0))?;
     let emitters = Emitters::new(&scene);
+    pipeline::require_light(&scene, &emitters)?;
     let needs_pass1 = matches!(settings.method, Method::TwoPass(_) | Method::Radiosity);
     let pass1_settings = pass1(&args.pass1, &scene, args.common.seed);
     let pass1 = if needs_pass1 {
@@ -69,7 +72,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         ));
         report.pass1 = Some(pass1);
     }
-    if let Some(path) = &args.common.report {
+    if let Some(path) = &args.report {
         report.write(path)?;
     }
     Ok(())
@@ -115,10 +118,9 @@ fn settings(args: &RenderArgs, scene: &Scene) -> Settings {
 }
 
 fn metadata(args: &RenderArgs, versions: &Versions, settings: &Settings) -> Vec<(String, String)> {
-    let command: Vec<String> = std::env::args().collect();
     [
         ("Software", format!("twopass {}", versions.twopass)),
-        ("twopass:command", command.join(" ")),
+        ("twopass:command", command_line().join(" ")),
         ("twopass:seed", args.common.seed.to_string()),
         ("twopass:spp", settings.spp.to_string()),
         ("twopass:embree", versions.embree.clone()),

@@ -1,12 +1,14 @@
 //! `twopass solve`.
 
 use super::args::SolveArgs;
+use super::check_outputs;
 use super::progress::Progress;
 use super::render::pass1;
 use crate::embree::Device;
 use crate::emitters::Emitters;
+use crate::output::write_whole;
 use crate::pipeline::{self, Stage};
-use crate::report::{Pass1Report, Report, Versions, write_whole};
+use crate::report::{Pass1Report, Report, Versions};
 use crate::scene::load;
 use crate::visibility::Visibility;
 use crate::{Error, Result};
@@ -15,6 +17,7 @@ pub fn run(args: &SolveArgs) -> Result<()> {
     if args.output.extension().is_none_or(|e| e != "npz") {
         return Err(Error::Usage(format!("{}: a solution is written as .npz", args.output.display())));
     }
+    check_outputs(&args.scene, [&args.output].into_iter().chain(&args.report))?;
     let progress = Progress::new(args.common.quiet);
     let observer = &|e| progress.tell(e);
     let mut stages: Vec<Stage> = Vec::new();
@@ -43,7 +46,7 @@ pub fn run(args: &SolveArgs) -> Result<()> {
     let pass1 = Pass1Report::new(&settings, &result);
     report.elements = pass1.elements;
     report.pass1 = Some(pass1);
-    if let Some(path) = &args.common.report {
+    if let Some(path) = &args.report {
         report.write(path)?;
     }
     Ok(())

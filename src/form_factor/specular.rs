@@ -38,7 +38,7 @@ pub struct Link {
     pub weight: Rgb,
     /// How the path went so far.
     pub passage: Passage,
-    /// Length of the path so far [m].
+    /// Length of the path so far \[m\].
     pub length: f64,
     /// Direction of arrival.
     pub direction: DVec3,

@@ -42,10 +42,8 @@ impl ObjectTable {
             let a = object(e);
             let share = mesh.area(e as u32) / areas[a];
             escaped[a] += share * color::mean(matrix.summary[e].escaped);
-            for batch in 0..batches {
-                for (j, f) in matrix.batch(e, batch) {
-                    estimates[a][object(j)][batch] += share * color::mean(f) * batches as f64;
-                }
+            for (batch, j, f) in (0..batches).flat_map(|b| matrix.batch(e, b).map(move |(j, f)| (b, j, f))) {
+                estimates[a][object(j)][batch] += share * color::mean(f) * batches as f64;
             }
         }
         let statistic = |f: &dyn Fn(&[f64]) -> f64| -> Vec<Vec<f64>> {

@@ -8,13 +8,12 @@
 use super::Image;
 use crate::color::{srgb_decode, srgb_encode};
 use crate::error::{Error, Result};
+use crate::output;
 use std::ffi::{CStr, CString, c_char};
-use std::fs::{self, File};
-use std::io::Write;
+use std::fs::File;
 use std::os::unix::ffi::OsStrExt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::ptr::{self, NonNull};
-use std::sync::atomic::{AtomicU64, Ordering};
 
 mod sys {
     //! What bindgen made of the shim's header.
@@ -85,18 +84,7 @@ pub fn version() -> String {
 /// For a command to refuse before it renders; what changes meanwhile is found by [`write()`].
 pub fn supported(path: &Path) -> Result<()> {
     format_of(path)?;
-    let folder = folder(path);
-    if !folder.is_dir() {
-        return Err(image_error(path, format!("the folder {} does not exist", folder.display())));
-    }
-    if path.is_dir() {
-        return Err(image_error(path, "is a folder"));
-    }
-    // Permission bits do not tell of read-only file systems, access lists or root: try.
-    let probe = Temporary::beside(path);
-    File::create_new(&probe.0)
-        .map(drop)
-        .map_err(|e| image_error(path, format!("the folder {} cannot be written to: {e}", folder.display())))
+    output::check(path)
 }
 
 /// Writes an image in the format of `path`'s extension.
@@ -107,14 +95,7 @@ pub fn supported(path: &Path) -> Result<()> {
 pub fn write(image: &Image, path: &Path, options: &WriteOptions) -> Result<()> {
     let format = format_of(path)?;
     let bytes = encode(image, path, format, options)?;
-    let temporary = Temporary::beside(path);
-    let disk = |e: std::io::Error| image_error(path, format!("cannot be written: {e}"));
-    let mut file = File::create_new(&temporary.0).map_err(disk)?;
-    file.write_all(bytes.as_slice()).map_err(disk)?;
-    // Late failures of a full or remote disk show here, while the old file is still in place.
-    file.sync_all().map_err(disk)?;
-    drop(file);
-    fs::rename(&temporary.0, path).map_err(disk)
+    output::write_whole(path, bytes.as_slice())
 }
 
 /// Reads an image that OpenImageIO can read, as linear RGB.
@@ -146,30 +127,6 @@ pub fn read(path: &Path) -> Result<Image> {
         }
     }
     Ok(image)
-}
-
-/// The folder of a file; `.` for a bare name.
-fn folder(path: &Path) -> &Path {
-    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
-}
-
-/// A file beside another, removed when dropped unless it was renamed.
-struct Temporary(PathBuf);
-
-impl Temporary {
-    fn beside(path: &Path) -> Temporary {
-        static COUNT: AtomicU64 = AtomicU64::new(0);
-        let count = COUNT.fetch_add(1, Ordering::Relaxed);
-        // Not made of the file's own name, which may be as long as a name can be.
-        Temporary(folder(path).join(format!(".twopass-{}-{count}.tmp", std::process::id())))
-    }
-}
-
-impl Drop for Temporary {
-    fn drop(&mut self) {
-        // Fails where the file was renamed or never made: both are as they should be.
-        let _ = fs::remove_file(&self.0);
-    }
 }
 
 /// Bytes that the shim owns.

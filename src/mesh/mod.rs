@@ -16,6 +16,9 @@ use glam::{DVec2, DVec3};
 /// No element.
 pub const NONE: u32 = u32::MAX;
 
+/// Most elements of a scene: their factors alone would take tens of gigabytes.
+const MOST_ELEMENTS: u32 = 1 << 27;
+
 /// Index of a side of a face: `2 * face` is the front, `2 * face + 1` the back.
 pub fn side_index(face: u32, front: bool) -> usize {
     2 * face as usize + usize::from(!front)
@@ -63,7 +66,7 @@ impl Grid {
     /// The grid whose cell edges are at most `size` long.
     fn of(scene: &Scene, face: &Face, size: f64) -> Grid {
         let (_, e1, e2) = scene.face_frame(face);
-        let cells = |l: f64| (l / size - 1e-9).ceil().clamp(1.0, 65_535.0) as u32;
+        let cells = |l: f64| (l / size - 1e-9).ceil().clamp(1.0, f64::from(MOST_ELEMENTS)) as u32;
         if face.is_triangle() {
             let n = cells(e1.length().max(e2.length()).max((e2 - e1).length()));
             Grid { nu: n, nv: n, triangle: true }
@@ -189,7 +192,7 @@ impl Grid {
 /// Elements of one side of a face are numbered in a row, in the order of the grid's cells.
 #[derive(Debug, Clone)]
 pub struct Mesh {
-    /// Largest cell edge asked for [m].
+    /// Largest cell edge asked for \[m\].
     pub element_size: f64,
     grids: Vec<Grid>,
     /// First element of each side, or [`NONE`].
@@ -208,12 +211,12 @@ pub fn default_element_size(scene: &Scene) -> f64 {
 }
 
 impl Mesh {
-    /// Divides the given sides of a scene's faces into cells with edges of at most `element_size` [m].
+    /// Divides the given sides of a scene's faces into cells with edges of at most `element_size` \[m\].
     ///
     /// Sides whose material neither reflects nor transmits diffusely get no elements unless
     /// `with_black` asks for them (form factors do not care for materials).
     pub fn new(scene: &Scene, sides: &Sides, element_size: f64, with_black: bool) -> Result<Mesh> {
-        if !(element_size > 0.0) {
+        if element_size.is_nan() || element_size <= 0.0 {
             return Err(Error::Usage(format!("element size {element_size} m: must be above zero")));
         }
         let mut grids: Vec<Grid> = scene.faces.iter().map(|f| Grid::of(scene, f, element_size)).collect();
@@ -238,9 +241,9 @@ impl Mesh {
                 }
                 first[side] = total as u32;
                 total += grid.len();
-                if total >= u64::from(NONE) {
+                if total > u64::from(MOST_ELEMENTS) {
                     return Err(Error::Usage(format!(
-                        "element size {element_size} m makes more than {NONE} elements: choose a larger --element-size"
+                        "element size {element_size} m makes more than {MOST_ELEMENTS} elements: choose a larger --element-size"
                     )));
                 }
                 side_of.resize(total as usize, side as u32);

@@ -2,8 +2,10 @@
 //!
 //! A node is shared by cells of the same patch only: faces that meet along an edge, have the same
 //! material and lie in one plane (or carry equal shading normals along the edge). So a value that
-//! is interpolated between nodes is continuous over the patch and never bleeds over a crease,
-//! between materials or to the far side.
+//! is interpolated between nodes never bleeds over a crease, between materials or to the far side,
+//! and it is continuous over each polygon, and over the whole patch where the grids of neighbours
+//! divide their common edge equally. (Triangles of different polygons may not: a grid follows from
+//! its polygon's longest edge.)
 
 use super::{Mesh, NONE, side_index};
 use crate::scene::{Face, Scene};

@@ -8,7 +8,7 @@ use crate::scene::Scene;
 use serde::Serialize;
 use std::f64::consts::PI;
 
-/// Power balance of a solution [W], by channel.
+/// Power balance of a solution \[W\], by channel.
 ///
 /// Emitted power either is absorbed by surfaces or escapes. The escaped and the specularly absorbed
 /// parts are counted from the sending elements, the diffusely absorbed part at the receiving ones,

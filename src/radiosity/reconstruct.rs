@@ -1,8 +1,8 @@
 //! From one value an element to a value at every point.
 //!
 //! Values are brought to the nodes that cells of one patch share, and interpolated between them:
-//! bilinear on parallelograms, linear on triangles. So the result is continuous over each patch
-//! and never mixes patches (see [`Nodes`]).
+//! bilinear on parallelograms, linear on triangles. So the result never mixes patches,
+//! and is continuous over each as far as its nodes are shared (see [`Nodes`]).
 
 use crate::color::Rgb;
 use crate::mesh::{Mesh, NONE, Nodes};

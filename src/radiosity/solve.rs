@@ -66,7 +66,7 @@ pub fn solve_reflected(
     }
     // The recurrence drifts from the true residual: report the true one.
     let residual = relative(&subtract(&b, &apply(&x)), norm_b);
-    if !(residual <= 10.0 * tolerance) {
+    if residual.is_nan() || residual > 10.0 * tolerance {
         return Err(Error::scene(
             "radiosity",
             format!(

@@ -78,15 +78,15 @@ impl Context<'_, '_> {
     ) -> Rgb {
         let origin = self.visibility.leave(at.point, side);
         let hemisphere = if gather { self.settings.gather_rays } else { 0 };
-        let mut sum = self.from_emitters(at, origin, normal, sampler, hemisphere);
+        let mut sum = self.light_from_emitters(at, origin, normal, sampler, hemisphere);
         if gather {
-            sum += self.from_hemisphere(at, origin, normal, sampler);
+            sum += self.light_from_hemisphere(at, origin, normal, sampler);
         }
         sum
     }
 
     /// Irradiance by samples of the emitters, sharing the work with `hemisphere` rays.
-    fn from_emitters(
+    fn light_from_emitters(
         &self,
         at: &SurfacePoint,
         origin: Vec3,
@@ -132,7 +132,7 @@ impl Context<'_, '_> {
     }
 
     /// Irradiance by cosine-weighted rays that read reflected radiosity where they land.
-    fn from_hemisphere(&self, at: &SurfacePoint, origin: Vec3, normal: DVec3, sampler: Sampler) -> Rgb {
+    fn light_from_hemisphere(&self, at: &SurfacePoint, origin: Vec3, normal: DVec3, sampler: Sampler) -> Rgb {
         let count = self.settings.gather_rays;
         let frame = Frame::new(normal);
         let chains = Chains::new(self.visibility, Some(self.emitters));

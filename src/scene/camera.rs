@@ -8,6 +8,9 @@ use glam::DVec3;
 /// Largest width or height of an image in pixels.
 const MAX_SIZE: u32 = 65_536;
 
+/// Most pixels of an image: three gigabytes of samples.
+const MAX_PIXELS: u64 = 1 << 28;
+
 const KEYS: [&str; 6] = ["name", "origin", "target", "up", "fov", "size"];
 
 /// A pinhole camera as the scene file states it, validated.
@@ -64,7 +67,10 @@ impl Camera {
                 fov if fov > 0.0 && fov < 180.0 => Ok(fov),
                 fov => Err(e.error(format!("must lie between 0 and 180 degrees, is {fov}"))),
             })?,
-            size: section.get("size").map_or(Ok([512, 512]), |e| e.size(MAX_SIZE))?,
+            size: section.get("size").map_or(Ok([512, 512]), |e| match e.size(MAX_SIZE)? {
+                [w, h] if u64::from(w) * u64::from(h) <= MAX_PIXELS => Ok([w, h]),
+                [w, h] => Err(e.error(format!("must make at most {MAX_PIXELS} pixels, is {w} x {h}"))),
+            })?,
             name,
         };
         let view = (camera.target - camera.origin).try_normalize();

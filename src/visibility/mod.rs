@@ -98,8 +98,8 @@ impl<'s> Visibility<'s> {
             if hit.face != from {
                 return Some(self.side(hit, direction));
             }
-            // Always moves on: the next f32 above t at least.
-            ray.tnear = (hit.t + self.offset as f32).max(hit.t.next_up());
+            // Always moves on: the next f32 above t (which is not negative) at least.
+            ray.tnear = (hit.t + self.offset as f32).max(f32::from_bits(hit.t.to_bits() + 1));
         }
     }
 

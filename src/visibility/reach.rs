@@ -49,10 +49,10 @@ pub fn reachable_sides(visibility: &Visibility, cameras: &[(CameraFrame, [u32; 2
                 let source = k as usize % sources;
                 let walker = Walker { visibility, seed: seed_of(&[seed, k, 0x7ea]) };
                 match emitters.get(source) {
-                    Some(&(face, front)) => walker.from_face(face, front, k / sources as u32),
+                    Some(&(face, front)) => walker.walk_from_face(face, front, k / sources as u32),
                     None => {
                         let (frame, size) = &cameras[source - emitters.len()];
-                        walker.from_camera(frame, *size, k / sources as u32)
+                        walker.walk_from_camera(frame, *size, k / sources as u32)
                     }
                 }
             })
@@ -129,7 +129,7 @@ struct Walker<'a, 's> {
 }
 
 impl Walker<'_, '_> {
-    fn from_face(&self, face: u32, front: bool, index: u32) -> Vec<(u32, DVec3)> {
+    fn walk_from_face(&self, face: u32, front: bool, index: u32) -> Vec<(u32, DVec3)> {
         let scene = self.visibility.scene();
         let f = &scene.faces[face as usize];
         let p = sobol(index, 0, seed_of(&[face, 0x11]));
@@ -140,7 +140,7 @@ impl Walker<'_, '_> {
         self.walk(p0 + u * e1 + v * e2, normal, d, face)
     }
 
-    fn from_camera(&self, frame: &CameraFrame, size: [u32; 2], index: u32) -> Vec<(u32, DVec3)> {
+    fn walk_from_camera(&self, frame: &CameraFrame, size: [u32; 2], index: u32) -> Vec<(u32, DVec3)> {
         let p = sobol(index, 0, 0xca3);
         let d = frame.direction(p[0] * f64::from(size[0]), p[1] * f64::from(size[1]));
         self.walk(frame.origin(), DVec3::ZERO, d, u32::MAX)

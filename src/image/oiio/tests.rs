@@ -1,5 +1,6 @@
 use super::*;
 use crate::image::read_exr;
+use std::fs;
 
 fn gradient(width: usize, height: usize) -> Image {
     let mut image = Image::new(width, height);
@@ -107,7 +108,7 @@ fn failure_leaves_no_file() {
 
     let missing = folder.path().join("none/a.exr");
     let error = write(&image, &missing, &WriteOptions::default()).unwrap_err();
-    assert!(matches!(&error, Error::Image { path, .. } if *path == missing), "{error}");
+    assert!(matches!(&error, Error::Io { path, .. } if *path == missing), "{error}");
 
     // A folder in the way: the rename fails after the temporary was written.
     let in_the_way = folder.path().join("b.png");

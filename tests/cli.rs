@@ -1,0 +1,472 @@
+//! The program as its users run it: what it writes, and what it says about what they did wrong.
+
+use exr::meta::attribute::AttributeValue;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use twopass::image::{read_exr, supported};
+
+/// A closed cube of one metre, seen from within; a quarter of it is lit by a panel under the ceiling.
+const ROOM: &str = "o cube\nusemtl white\n\
+    v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nv 1 0 1\nv 1 1 1\nv 0 1 1\n\
+    f 1 5 6 2\nf 4 3 7 8\nf 1 2 3 4\nf 5 8 7 6\nf 1 4 8 5\nf 2 6 7 3\n\
+    o panel\nusemtl lamp\n\
+    v 0.3 0.9 0.3\nv 0.7 0.9 0.3\nv 0.7 0.9 0.7\nv 0.3 0.9 0.7\nf 9 10 11 12\n";
+const CAMERA: &str =
+    "[camera]\norigin = [0.5, 0.4, 0.95]\ntarget = [0.5, 0.4, 0]\nfov = 60\nsize = [12, 8]\n";
+const MATERIALS: &str = "[materials.white]\ndiffuse = 0.5\n[materials.lamp]\nemission = [3, 2, 1]\n";
+/// So little work that a run takes a moment.
+const QUICK: [&str; 4] = ["--rays", "16", "--element-size", "0.5"];
+
+/// A folder with a scene in it.
+struct Files(tempfile::TempDir);
+
+/// What a run of the program left.
+struct Run {
+    code: i32,
+    stdout: Vec<u8>,
+    stderr: String,
+}
+
+impl Files {
+    /// `scene.toml` with this text behind its geometry, and `room.obj`.
+    fn new(toml: &str, obj: &str) -> Files {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("scene.toml"), format!("geometry = [\"room.obj\"]\n{toml}")).unwrap();
+        fs::write(folder.path().join("room.obj"), obj).unwrap();
+        Files(folder)
+    }
+
+    fn room() -> Files {
+        Files::new(&format!("{CAMERA}{MATERIALS}"), ROOM)
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    /// Runs the program in the folder; it must never panic.
+    #[track_caller]
+    fn run(&self, args: &[&str]) -> Run {
+        let output = Command::new(env!("CARGO_BIN_EXE_twopass"))
+            .current_dir(self.0.path())
+            .args(args)
+            .stdin(Stdio::null())
+            .output()
+            .unwrap();
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert!(!stderr.contains("panicked"), "{args:?}: {stderr}");
+        Run { code: output.status.code().expect("no signal"), stdout: output.stdout, stderr }
+    }
+
+    /// Runs the program, which must succeed.
+    #[track_caller]
+    fn done(&self, args: &[&str]) -> Run {
+        let run = self.run(args);
+        assert_eq!(run.code, 0, "{args:?}: {}", run.stderr);
+        run
+    }
+
+    /// Runs the program, which must fail so, say all of `parts`, and leave no file.
+    #[track_caller]
+    fn fails(&self, args: &[&str], code: i32, parts: &[&str]) {
+        let before = self.names();
+        let run = self.run(args);
+        assert_eq!(run.code, code, "{args:?}: {}", run.stderr);
+        for part in parts {
+            assert!(run.stderr.contains(part), "{args:?} should say {part:?}: {}", run.stderr);
+        }
+        assert!(run.stdout.is_empty(), "{args:?}");
+        assert_eq!(self.names(), before, "{args:?}");
+    }
+
+    /// A rendering of the scene fails with exit code 1 and says all of `parts`.
+    #[track_caller]
+    fn render_fails(&self, parts: &[&str]) {
+        let args = [&["render", "scene.toml", "-o", "a.exr", "--spp", "1"], &QUICK[..]].concat();
+        self.fails(&args, 1, parts);
+    }
+
+    fn names(&self) -> Vec<String> {
+        let mut names: Vec<_> = fs::read_dir(self.0.path())
+            .unwrap()
+            .map(|e| e.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    }
+}
+
+#[test]
+fn files_that_are_missing_or_damaged() {
+    let room = Files::room();
+    room.fails(&["render", "gone.toml", "-o", "a.exr"], 1, &["gone.toml", "No such file"]);
+    room.fails(&["info", "gone.obj"], 1, &["gone.obj"]);
+    room.fails(&["solve", "scene.txt", "-o", "a.npz"], 1, &["scene.txt", ".toml", ".obj"]);
+    Files::new("[camera\n", ROOM).render_fails(&["scene.toml:2"]);
+    Files::new("unit = \"metre\"\n", ROOM).render_fails(&["scene.toml:2", "unit must be a number"]);
+    let lit = format!("{CAMERA}{MATERIALS}");
+    let with = |line: &str| Files::new(&lit, &format!("{ROOM}{line}\n"));
+    with("f 1 2 99").render_fails(&["room.obj:24", "vertex index 99", "12 vertices"]);
+    with("v 0 nan 0").render_fails(&["room.obj:24", "not a finite number"]);
+    with("v 0 0 inf").render_fails(&["room.obj:24", "not a finite number"]);
+    Files::new(&lit, "").render_fails(&["room.obj", "no faces"]);
+    Files::new(&lit, "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n").render_fails(&["room.obj", "no faces", "area"]);
+    let missing = Files::room();
+    fs::remove_file(missing.path("room.obj")).unwrap();
+    missing.render_fails(&["scene.toml:1", "room.obj"]);
+}
+
+#[test]
+fn scenes_that_cannot_be_rendered() {
+    for method in ["two-pass", "radiosity", "whitted", "path"] {
+        let dark = Files::new(CAMERA, ROOM);
+        let args = ["render", "scene.toml", "-o", "a.exr", "--method", method];
+        dark.fails(&args, 1, &["scene.toml", "no light", "emission"]);
+    }
+    Files::new("", ROOM).fails(&["solve", "room.obj", "-o", "a.npz"], 1, &["room.obj", "no light"]);
+    Files::new(MATERIALS, ROOM).render_fails(&["scene.toml", "no camera", "[camera]"]);
+    let camera = |text: &str| Files::new(&format!("[camera]\n{text}\n{MATERIALS}"), ROOM);
+    camera("origin = [0, 1, 0]\ntarget = [0, 0, 0]").render_fails(&["scene.toml:2", "up"]);
+    camera("origin = [0, 1, 0]\ntarget = [0, 1, 0]").render_fails(&["scene.toml:2", "same point"]);
+    camera("origin = [0, 1, 0]\ntarget = [0, 0, 1]\nsize = [60000, 60000]").render_fails(&[
+        "scene.toml:5",
+        "size",
+        "at most",
+        "pixels",
+    ]);
+    let room = Files::room();
+    let args = ["render", "scene.toml", "-o", "a.exr", "--camera", "camra"];
+    room.fails(&args, 1, &["no camera \"camra\"", "did you mean \"camera\""]);
+
+    // Every surface white and no way out: light would grow for ever.
+    let white =
+        "[materials.white]\ndiffuse = 1\n[materials.lamp]\ndiffuse = 1\nemission = 1\ntwo_sided = true\n";
+    Files::new(&format!("{CAMERA}{white}"), ROOM).render_fails(&["no steady state", "albedo", "below 1"]);
+}
+
+#[test]
+fn outputs_that_cannot_be_written_are_found_before_the_work() {
+    let room = Files::room();
+    fs::create_dir(room.path("folder.exr")).unwrap();
+    fs::create_dir(room.path("folder.npz")).unwrap();
+    // The scene does not exist: whoever reads it first says so instead.
+    let render = |output: &str, code: i32, parts: &[&str]| {
+        room.fails(&["render", "gone.toml", "-o", output], code, parts);
+    };
+    render("gone/a.exr", 1, &["gone/a.exr", "folder gone does not exist"]);
+    render("folder.exr", 1, &["folder.exr", "is a folder"]);
+    render("a.bmp", 2, &["a.bmp", ".exr", ".png"]);
+    render("a", 2, &["the image format is unknown"]);
+    room.fails(&["solve", "gone.toml", "-o", "gone/a.npz"], 1, &["gone/a.npz", "does not exist"]);
+    room.fails(&["solve", "gone.toml", "-o", "folder.npz"], 1, &["folder.npz", "is a folder"]);
+    room.fails(&["solve", "gone.toml", "-o", "a.csv"], 2, &["a.csv", ".npz"]);
+    room.fails(&["form-factors", "gone.toml", "-o", "gone/a.npz"], 1, &["gone/a.npz", "does not exist"]);
+    room.fails(&["form-factors", "gone.toml", "-o", "a.txt"], 2, &["a.txt", ".npz"]);
+    room.fails(&["form-factors", "gone.toml", "-o", "a.json"], 2, &["--by-object"]);
+    room.fails(&["form-factors", "gone.toml", "--by-object", "-o", "a.npz"], 2, &["-o F.json"]);
+    let report = ["--report", "gone/r.json"];
+    for command in [
+        &["render", "gone.toml", "-o", "a.exr"][..],
+        &["solve", "gone.toml", "-o", "a.npz"],
+        &["form-factors", "gone.toml", "--by-object"],
+    ] {
+        room.fails(&[command, &report].concat(), 1, &["gone/r.json", "does not exist"]);
+    }
+    let twice = ["render", "gone.toml", "-o", "a.exr", "-o", "./a.exr"];
+    room.fails(&twice, 2, &["./a.exr", "given twice"]);
+    room.fails(
+        &["solve", "scene.toml", "-o", "a.npz", "--report", "scene.toml"],
+        2,
+        &["scene.toml", "is the scene"],
+    );
+}
+
+#[test]
+#[cfg(unix)]
+fn folders_without_write_permission() {
+    use std::os::unix::fs::PermissionsExt;
+    let room = Files::room();
+    let closed = room.path("closed");
+    fs::create_dir(&closed).unwrap();
+    fs::set_permissions(&closed, fs::Permissions::from_mode(0o555)).unwrap();
+    if supported(&closed.join("a.exr")).is_ok() {
+        println!("skipped: permissions do not bind this user");
+        return;
+    }
+    room.fails(&["render", "scene.toml", "-o", "closed/a.exr"], 1, &["closed/a.exr", "cannot be written to"]);
+    room.fails(&["solve", "scene.toml", "-o", "closed/a.npz"], 1, &["closed/a.npz", "cannot be written to"]);
+}
+
+#[test]
+fn numbers_out_of_range_are_bad_usage() {
+    let room = Files::room();
+    let render = |option: &str, value: &str, says: &str| {
+        let args = ["render", "scene.toml", "-o", "a.exr", option, value];
+        room.fails(&args, 2, &[option, value, says]);
+    };
+    for (option, value) in [("--spp", "0"), ("--spp", "-1"), ("--rays", "0"), ("--rays", "99999999999")] {
+        render(option, value, "whole number from 1");
+    }
+    for value in ["0", "-1", "nan", "inf"] {
+        render("--element-size", value, "above zero");
+    }
+    for value in ["0", "1000000"] {
+        render("--threads", value, "whole number from 1");
+    }
+    render("--quality", "best", "gather");
+    render("--method", "magic", "two-pass");
+    room.fails(&["render", "scene.toml", "-o", "a.exr", "--exposure", "nan"], 2, &["--exposure", "finite"]);
+    room.fails(&["render", "scene.toml"], 2, &["--output"]);
+    room.fails(&["rendr"], 2, &["render"]);
+    let tiny = ["solve", "scene.toml", "-o", "a.npz", "--element-size", "1e-12"];
+    room.fails(&tiny, 2, &["element size", "--element-size"]);
+}
+
+#[test]
+fn warnings_name_what_they_are_about_and_do_not_stop() {
+    let toml = format!("untis = 1\n{CAMERA}{MATERIALS}");
+    let flat = "v 0.1 0.1 0.1\nv 0.2 0.2 0.2\nv 0.3 0.3 0.3\nf -1 -2 -3\nf -1 -1 -2\n";
+    let files = Files::new(&toml, &format!("{ROOM}{flat}"));
+    let args = ["render", "scene.toml", "-o", "a.png", "--spp", "1", "--exposure", "-3", "--quiet"];
+    let run = files.done(&[&args, &QUICK[..]].concat());
+    let lines: Vec<_> = run.stderr.lines().collect();
+    assert_eq!(lines.len(), 2, "{lines:?}");
+    assert!(lines[0].starts_with("warning: ") && lines[0].contains("scene.toml:2"), "{lines:?}");
+    assert!(lines[0].contains("\"untis\"") && lines[0].contains("did you mean \"unit\""), "{lines:?}");
+    assert!(lines[1].contains("2 faces of zero area") && lines[1].contains("\"panel\": 2"), "{lines:?}");
+    assert_eq!(files.names(), ["a.png", "room.obj", "scene.toml"]);
+}
+
+#[test]
+fn quiet_is_quiet_and_progress_goes_to_standard_error() {
+    let room = Files::room();
+    let args = [&["render", "scene.toml", "-o", "a.exr", "-o", "b.png", "--spp", "1"], &QUICK[..]].concat();
+    let run = room.done(&args);
+    assert!(run.stdout.is_empty());
+    for stage in ["load", "build", "form-factors", "solve", "trace", "write"] {
+        assert!(run.stderr.lines().any(|l| l.starts_with(stage)), "{stage}: {}", run.stderr);
+    }
+    assert_eq!(room.names(), ["a.exr", "b.png", "room.obj", "scene.toml"]);
+    let quiet = room.done(&[&args[..], &["--quiet"]].concat());
+    assert_eq!((quiet.stderr.as_str(), quiet.stdout.len()), ("", 0));
+}
+
+#[test]
+fn reports_hold_the_fixed_names() {
+    let room = Files::room();
+    let stages_of = |args: &[&str]| -> (Vec<String>, serde_json::Value) {
+        room.done(&[args, &["--report", "r.json", "--threads", "1"], &QUICK].concat());
+        let report: serde_json::Value =
+            serde_json::from_slice(&fs::read(room.path("r.json")).unwrap()).unwrap();
+        let stages = report["stages"].as_array().unwrap();
+        for stage in stages {
+            assert!(stage["seconds"].as_f64().unwrap() >= 0.0 && stage["rays"].is_u64(), "{stage}");
+        }
+        let names = stages.iter().map(|s| s["name"].as_str().unwrap().to_string()).collect();
+        (names, report)
+    };
+    let (stages, report) = stages_of(&["render", "scene.toml", "-o", "a.exr", "--spp", "2", "--seed", "7"]);
+    assert_eq!(stages, ["load", "build", "form-factors", "solve", "trace", "write"]);
+    assert!(report["stages"][2]["rays"].as_u64() > Some(0) && report["stages"][4]["rays"].as_u64() > Some(0));
+    assert_eq!(report["elements"], 24, "the lamp has no diffuse part");
+    assert_eq!((report["faces"].as_u64(), report["threads"].as_u64()), (Some(7), Some(1)));
+    assert!(report["peak_memory_bytes"].as_u64() > Some(1 << 20));
+    assert_eq!(report["features"]["emitters"], true);
+    assert_eq!(report["features"]["specular"], false);
+    assert_eq!(report["warnings"].as_array().map(Vec::len), Some(0));
+    assert_eq!(report["seed"], 7);
+    assert_eq!(report["command"][1], "render");
+    for version in ["twopass", "embree", "openimageio"] {
+        assert!(report["versions"][version].as_str().is_some_and(|v| v.contains('.')), "{version}");
+    }
+    for residual in ["closure", "reciprocity"] {
+        assert!(report["pass1"]["residuals"][residual].is_f64(), "{residual}");
+    }
+    assert!(report["pass1"]["energy"]["residual"].is_array());
+    assert!(report["pass1"]["standard_errors"]["relative_rms"].as_f64() > Some(0.0));
+
+    let (stages, report) =
+        stages_of(&["render", "scene.toml", "-o", "a.exr", "--spp", "2", "--method", "path"]);
+    assert_eq!(stages, ["load", "build", "trace", "write"]);
+    assert!(report.get("pass1").is_none());
+    let (stages, _) = stages_of(&["solve", "scene.toml", "-o", "a.npz"]);
+    assert_eq!(stages, ["load", "build", "form-factors", "solve", "write"]);
+    let (stages, report) = stages_of(&["form-factors", "room.obj", "-o", "f.npz"]);
+    assert_eq!(stages, ["load", "build", "form-factors", "write"]);
+    assert_eq!(report["elements"], 6 * 4 + 1);
+    assert!(report["form_factors"]["closure"].as_f64() < Some(1e-6), "{}", report["form_factors"]);
+    assert!(report["form_factors"]["reciprocity"].as_f64() < Some(0.5), "{}", report["form_factors"]);
+}
+
+#[test]
+fn solutions_hold_the_fixed_arrays() {
+    // A unit and a place of their own: coordinates come back as the file has them.
+    let room = Files::new(&format!("unit = 0.01\n{CAMERA}{MATERIALS}"), ROOM);
+    room.done(&[&["solve", "scene.toml", "-o", "x.npz"], &QUICK[..]].concat());
+    let open = || npyz::npz::NpzArchive::open(room.path("x.npz")).unwrap();
+    let array = |name: &str| -> (Vec<u64>, Vec<f64>) {
+        let mut npz = open();
+        let npy = npz.by_name(name).unwrap().unwrap_or_else(|| panic!("{name}"));
+        assert_eq!(npy.dtype().descr(), "'<f8'", "{name}");
+        (npy.shape().to_vec(), npy.into_vec().unwrap())
+    };
+    let (shape, area) = array("area");
+    let n = shape[0];
+    assert_eq!(shape, [n]);
+    assert_eq!(n, 24, "the lamp has no diffuse part");
+    for name in ["radiosity", "irradiance", "direct", "standard_error", "centroid", "normal"] {
+        let (shape, values) = array(name);
+        assert_eq!(shape, [n, 3], "{name}");
+        assert!(values.iter().all(|v| v.is_finite()), "{name}");
+    }
+    assert!((area.iter().sum::<f64>() - 6e-4).abs() < 1e-9);
+    let (_, centroids) = array("centroid");
+    assert!(centroids.iter().all(|c| (-1e-9..1.0 + 1e-9).contains(c)));
+    let (_, normals) = array("normal");
+    assert!(normals.chunks(3).all(|v| (v.iter().map(|x| x * x).sum::<f64>() - 1.0).abs() < 1e-12));
+    {
+        let mut npz = open();
+        let object = npz.by_name("object").unwrap().unwrap();
+        assert_eq!((object.dtype().descr().as_str(), object.shape()), ("'<i4'", &[n][..]));
+    }
+    let mut npz = open();
+    let meta = npz.by_name("meta").unwrap().unwrap();
+    assert_eq!(meta.dtype().descr(), "'|u1'");
+    let meta: serde_json::Value = serde_json::from_slice(&meta.into_vec::<u8>().unwrap()).unwrap();
+    assert_eq!(meta["objects"], serde_json::json!(["cube", "panel"]));
+    assert_eq!(meta["settings"]["rays"], 16);
+    assert!(meta["scene_hash"].is_string() && meta["versions"]["embree"].is_string());
+}
+
+#[test]
+fn form_factors_on_standard_output_are_json_alone() {
+    let room = Files::room();
+    let run = room.done(&["form-factors", "room.obj", "--by-object", "-o", "-", "--rays", "256"]);
+    let table: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    assert_eq!(table["objects"], serde_json::json!(["cube", "panel"]));
+    let number = |v: &serde_json::Value| v.as_f64().unwrap();
+    assert!((number(&table["areas"][0]) - 6.0).abs() < 1e-12);
+    let rows = table["form_factors"].as_array().unwrap();
+    assert_eq!((rows.len(), rows[0].as_array().unwrap().len()), (2, 2));
+    // The panel looks down on the cube alone; of the cube, it takes its share by reciprocity.
+    assert!((number(&rows[1][0]) - 1.0).abs() < 1e-12, "{rows:?}");
+    let error = number(&table["standard_errors"][0][1]);
+    assert!((number(&rows[0][1]) - 0.16 / 6.0).abs() < 5.0 * error + 1e-4, "{rows:?} +- {error}");
+    assert_eq!(table["escaped"].as_array().map(Vec::len), Some(2));
+    assert!(table["rays"].as_u64() >= Some(256) && table["seconds"].is_f64());
+    assert!(run.stderr.contains("form-factors"), "{}", run.stderr);
+    assert_eq!(room.names(), ["room.obj", "scene.toml"]);
+}
+
+#[test]
+fn images_carry_how_they_were_made() {
+    let room = Files::room();
+    room.done(&[&["render", "scene.toml", "-o", "a.exr", "--spp", "1", "--seed", "9"], &QUICK[..]].concat());
+    let meta = exr::meta::MetaData::read_from_file(room.path("a.exr"), false).unwrap();
+    let attributes = &meta.headers[0].own_attributes;
+    let text = |name: &str| -> String {
+        match attributes.other.get(&exr::meta::attribute::Text::from(name)) {
+            Some(AttributeValue::Text(text)) => text.to_string(),
+            other => panic!("{name}: {other:?}"),
+        }
+    };
+    assert!(text("twopass:command").contains("render scene.toml -o a.exr"));
+    assert_eq!(text("twopass:seed"), "9");
+    assert!(text("twopass:embree").contains('.') && text("twopass:openimageio").contains('.'));
+    assert_eq!(text("Software"), format!("twopass {}", env!("CARGO_PKG_VERSION")));
+}
+
+#[test]
+fn images_do_not_depend_on_the_run_or_on_threads() {
+    // A mirror and a translucent pane, so that chains and both sides take part.
+    let obj = format!(
+        "{ROOM}o mirror\nusemtl mirror\nv 0.1 0.2 0.2\nv 0.1 0.2 0.8\nv 0.1 0.8 0.8\nv 0.1 0.8 0.2\nf -4 -3 -2 -1\n\
+         o pane\nusemtl pane\nv 0.2 0.1 0.1\nv 0.8 0.1 0.1\nv 0.8 0.7 0.1\nv 0.2 0.7 0.1\nf -4 -3 -2 -1\n"
+    );
+    let toml = format!(
+        "{CAMERA}{MATERIALS}[materials.mirror]\nspecular = [0.9, 0.8, 0.7]\nroughness = 0.3\n\
+         [materials.pane]\ndiffuse = 0.3\ndiffuse_transmission = 0.4\n"
+    );
+    let files = Files::new(&toml, &obj);
+    for method in ["two-pass", "path"] {
+        let render = |name: &str, threads: &str| {
+            let args = ["render", "scene.toml", "-o", name, "--spp", "3", "--threads", threads];
+            files.done(&[&args[..], &["--method", method], &QUICK[..]].concat());
+            let image = read_exr(&files.path(name)).unwrap();
+            assert!(image.data.iter().all(|v| v.is_finite()) && image.data.iter().any(|v| *v > 0.0));
+            image.data.iter().map(|v| v.to_bits()).collect::<Vec<_>>()
+        };
+        let first = render("a.exr", "1");
+        assert!(first == render("b.exr", "1"), "{method}: two runs differ");
+        assert!(first == render("c.exr", "2"), "{method}: threads change the image");
+    }
+}
+
+#[test]
+fn info_says_what_is_modelled_and_what_is_not() {
+    let room = Files::room();
+    let run = room.done(&["info", "scene.toml"]);
+    let text = String::from_utf8(run.stdout).unwrap();
+    let (_, features) = text.split_once("  modelled\n").unwrap();
+    let (needed, absent) = features.split_once("  not needed, not modelled\n").unwrap();
+    assert!(needed.contains("emitters") && !needed.contains("specular"), "{needed}");
+    for feature in ["environment", "specular", "glossy", "glass", "translucent"] {
+        assert!(absent.contains(feature), "{feature}: {absent}");
+    }
+    for part in
+        ["polygons      7", "0 triangles, 7 parallelograms", "cube, panel", "camera", "elements", "Embree"]
+    {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    assert_eq!(run.stderr, "");
+}
+
+#[test]
+#[cfg(unix)]
+fn a_closed_pipe_is_no_panic() {
+    let room = Files::room();
+    // The standard input of a program that has ended: nobody reads what is written there.
+    let closed = || -> Stdio {
+        let mut ended = Command::new("true").stdin(Stdio::piped()).spawn().unwrap();
+        let writer = ended.stdin.take().unwrap();
+        ended.wait().unwrap();
+        writer.into()
+    };
+    let start = |args: &[&str]| -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_twopass"));
+        command.current_dir(room.0.path()).args(args);
+        command
+    };
+    let output = start(&["info", "scene.toml"]).stdout(closed()).output().unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!((output.status.code(), stderr.as_str()), (Some(0), ""));
+    let factors = ["form-factors", "room.obj", "--by-object", "--quiet", "--rays", "16"];
+    let output = start(&factors).stdout(closed()).output().unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{stderr}");
+    assert!(stderr.contains("standard output") && !stderr.contains("panicked"), "{stderr}");
+    // Standard error closed: progress is lost, the work is not.
+    let render = [&["render", "scene.toml", "-o", "a.exr", "--spp", "1"], &QUICK[..]].concat();
+    assert_eq!(start(&render).stderr(closed()).status().unwrap().code(), Some(0));
+    assert!(room.path("a.exr").is_file());
+}
+
+#[test]
+#[cfg(unix)]
+fn names_that_are_not_unicode() {
+    use std::ffi::OsStr;
+    use std::os::unix::ffi::OsStrExt;
+    let room = Files::room();
+    let name = OsStr::from_bytes(b"caf\xe9.exr");
+    let output = Command::new(env!("CARGO_BIN_EXE_twopass"))
+        .current_dir(room.0.path())
+        .args(["render", "scene.toml", "--spp", "1", "--report", "r.json", "-o"])
+        .arg(name)
+        .args(QUICK)
+        .output()
+        .unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{stderr}");
+    assert!(room.path("r.json").is_file() && Path::new(&room.0.path().join(name)).is_file());
+}

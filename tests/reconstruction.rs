@@ -1,0 +1,307 @@
+//! From elements to points: where reconstructed radiosity must be continuous, where it must not
+//! mix, and which element a point belongs to.
+
+use glam::{DVec2, DVec3};
+use std::path::Path;
+use twopass::color::Rgb;
+use twopass::embree::Device;
+use twopass::mesh::{Mesh, NONE, Nodes, Sides};
+use twopass::radiosity::Field;
+use twopass::scene::{Scene, load};
+use twopass::visibility::Visibility;
+
+fn scene(obj: &str) -> Scene {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("s.obj");
+    std::fs::write(&path, obj).unwrap();
+    load(&path).unwrap()
+}
+
+/// Elements of both sides, their nodes, and every element open.
+struct Setup {
+    scene: Scene,
+    mesh: Mesh,
+    nodes: Nodes,
+    open: Vec<f64>,
+}
+
+impl Setup {
+    fn new(obj: &str, size: f64) -> Setup {
+        let scene = scene(obj);
+        let mesh = Mesh::new(&scene, &Sides::all(&scene), size, true).unwrap();
+        let nodes = Nodes::new(&scene, &mesh);
+        let open = vec![1.0; mesh.len()];
+        Setup { scene, mesh, nodes, open }
+    }
+
+    fn field(&self, value: impl Fn(u32) -> f64) -> Field {
+        let values: Vec<Rgb> = (0..self.mesh.len() as u32).map(|e| Rgb::splat(value(e))).collect();
+        Field::new(&self.mesh, &self.nodes, &self.open, &values)
+    }
+
+    fn at(&self, field: &Field, side: (u32, bool), uv: DVec2) -> f64 {
+        field.at(&self.mesh, &self.nodes, side, uv.x as f32, uv.y as f32).unwrap().x
+    }
+
+    /// The value at a point of a face.
+    fn at_point(&self, field: &Field, side: (u32, bool), point: DVec3) -> f64 {
+        self.at(field, side, self.uv(side.0, point))
+    }
+
+    /// (u, v) of a point on the plane of a face.
+    fn uv(&self, face: u32, point: DVec3) -> DVec2 {
+        let (p0, e1, e2) = self.scene.face_frame(&self.scene.faces[face as usize]);
+        let n = e1.cross(e2);
+        let d = point - p0;
+        DVec2::new(d.cross(e2).dot(n), e1.cross(d).dot(n)) / n.length_squared()
+    }
+
+    /// The largest difference between the two sides of any border between cells of a face.
+    fn largest_jump(&self, field: &Field, face: u32) -> f64 {
+        const STEP: f64 = 2e-7;
+        let grid = self.mesh.grid(face);
+        let inside = |p: DVec2| {
+            p.min_element() >= 0.0 && if grid.triangle { p.x + p.y <= 1.0 } else { p.max_element() <= 1.0 }
+        };
+        let mut largest = 0.0f64;
+        for cell in 0..grid.len() as u32 {
+            let (o, a, b) = grid.cell_frame(cell);
+            let edges =
+                if grid.triangle { vec![(o, a), (o, b), (o + a, b - a)] } else { vec![(o, a), (o, b)] };
+            for (start, edge) in edges {
+                let across = STEP * edge.perp().normalize();
+                for k in 0..=16 {
+                    let p = start + f64::from(k) / 16.0 * edge;
+                    if inside(p + across) && inside(p - across) {
+                        let [x, y] = [p + across, p - across].map(|p| self.at(field, (face, true), p));
+                        largest = largest.max((x - y).abs());
+                    }
+                }
+            }
+        }
+        largest
+    }
+}
+
+/// A number in [0, 1) that looks random (SplitMix64).
+fn noise(k: u32) -> f64 {
+    let mut z = (u64::from(k) + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+}
+
+const SQUARE: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n";
+/// A polygon that is no parallelogram: two triangles.
+const TRAPEZIUM: &str = "v 0 0 0\nv 2 0 0\nv 1.5 1 0\nv 0 1 0\nf 1 2 3 4\n";
+
+#[test]
+fn flat_faces_are_continuous_across_every_cell() {
+    for obj in [SQUARE, "v 0 0 0\nv 1 0 0\nv 0.3 0.8 0\nf 1 2 3\n", TRAPEZIUM] {
+        let s = Setup::new(obj, 0.21);
+        let field = s.field(noise);
+        for face in 0..s.scene.faces.len() as u32 {
+            assert!(s.mesh.grid(face).len() >= 25);
+            let jump = s.largest_jump(&field, face);
+            assert!(jump < 1e-5, "{obj}: {jump}");
+        }
+    }
+}
+
+#[test]
+fn the_halves_of_a_split_polygon_meet_without_a_seam() {
+    let s = Setup::new(TRAPEZIUM, 0.21);
+    assert_eq!(s.scene.faces.len(), 2);
+    let field = s.field(noise);
+    let diagonal = (DVec3::ZERO - s.scene.center, DVec3::new(1.5, 1.0, 0.0));
+    let mut values = Vec::new();
+    for k in 0..=200 {
+        let p = diagonal.0 + f64::from(k) / 200.0 * diagonal.1;
+        let [a, b] = [0, 1].map(|face| s.at_point(&field, (face, true), p));
+        assert!((a - b).abs() < 1e-5, "{k}: {a} {b}");
+        values.push(a);
+    }
+    let (low, high) = values.iter().fold((f64::MAX, f64::MIN), |(l, h), &v| (l.min(v), h.max(v)));
+    assert!(high - low > 0.05, "the test needs values that vary: {low} {high}");
+}
+
+#[test]
+fn neighbouring_polygons_of_one_plane_and_material_meet_without_a_seam() {
+    let s = Setup::new("v 0 0 0\nv 1 0 0\nv 2 0 0\nv 0 1 0\nv 1 1 0\nv 2 1 0\nf 1 2 5 4\nf 2 3 6 5\n", 0.3);
+    let field = s.field(noise);
+    for k in 0..=50 {
+        let p = DVec3::new(1.0, f64::from(k) / 50.0, 0.0) - s.scene.center;
+        let [a, b] = [0, 1].map(|face| s.at_point(&field, (face, true), p));
+        assert!((a - b).abs() < 1e-5, "{k}: {a} {b}");
+    }
+}
+
+/// Away from the borders a linear function comes back but for single precision and what is left
+/// of the borders' flattening; at the borders, within a part of a cell's step.
+#[test]
+fn linear_functions_are_reproduced() {
+    let f = |p: DVec3| 1.0 + 0.5 * p.x - 0.25 * p.y;
+    for (obj, size) in [(SQUARE, 0.1), (TRAPEZIUM, 0.1)] {
+        let s = Setup::new(obj, size);
+        let field = s.field(|e| f(s.mesh.centroid(&s.scene, e) + s.scene.center));
+        let (mut inner, mut outer) = (0.0f64, 0.0f64);
+        for face in 0..s.scene.faces.len() as u32 {
+            let (p0, e1, e2) = s.scene.face_frame(&s.scene.faces[face as usize]);
+            for k in 0..4096 {
+                let mut uv = DVec2::new(noise(2 * k), noise(2 * k + 1));
+                if s.mesh.grid(face).triangle && uv.x + uv.y > 1.0 {
+                    uv = DVec2::ONE - uv;
+                }
+                let p = p0 + uv.x * e1 + uv.y * e2 + s.scene.center;
+                let error = (s.at(&field, (face, true), uv) - f(p)).abs();
+                // Distance to the outline, in cells.
+                let right = (2.0 - 0.5 * p.y - p.x) / 1.25f64.sqrt();
+                let right = if obj == SQUARE { 1.0 - p.x } else { right };
+                let border = p.x.min(p.y).min(1.0 - p.y).min(right);
+                if border > 3.0 * size { inner = inner.max(error) } else { outer = outer.max(error) }
+            }
+        }
+        // What the function changes by over a cell.
+        let step = (0.5 + 0.25) * size;
+        println!("{obj:?}: interior {:.1e}, border {:.2} of a cell's step", inner, outer / step);
+        // Where two lattices of triangles meet, a node's cells do not lie evenly about it.
+        let allowed = if obj == SQUARE { 1e-6 } else { 0.02 * step };
+        assert!(inner < allowed, "{obj}: {inner}");
+        assert!(outer < 0.5 * step, "{obj}: {outer} of {step}");
+    }
+}
+
+#[test]
+fn constants_come_back_exactly_everywhere() {
+    for obj in [SQUARE, TRAPEZIUM] {
+        let s = Setup::new(obj, 0.1);
+        let field = s.field(|_| 0.7);
+        for k in 0..500 {
+            let uv = DVec2::new(noise(2 * k), noise(2 * k + 1));
+            let uv = if uv.x + uv.y > 1.0 { DVec2::ONE - uv } else { uv };
+            assert!((s.at(&field, (0, true), uv) - 0.7).abs() < 1e-6);
+        }
+    }
+}
+
+/// Two faces that share an edge, the first with value 1 and the second with 0, do not mix.
+#[track_caller]
+fn assert_apart(obj: &str) {
+    let s = Setup::new(obj, 0.17);
+    let field = s.field(|e| if s.mesh.place(e).0 == 0 { 1.0 } else { 0.0 });
+    for k in 0..=100 {
+        for uv in [0.0, 0.5, 1.0].map(|v| DVec2::new(v, f64::from(k) / 100.0)) {
+            for front in [true, false] {
+                let [a, b] = [0, 1].map(|face| s.at(&field, (face, front), uv));
+                assert!((a - 1.0).abs() < 1e-6 && b.abs() < 1e-6, "{uv}: {a} {b}");
+            }
+        }
+    }
+}
+
+#[test]
+fn nothing_bleeds_over_a_crease() {
+    // Perpendicular, and folded by 20 degrees only.
+    assert_apart("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 1 0 1\nv 1 1 1\nf 1 2 3 4\nf 2 5 6 3\n");
+    assert_apart("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 1.94 0 0.34\nv 1.94 1 0.34\nf 1 2 3 4\nf 2 5 6 3\n");
+}
+
+#[test]
+fn nothing_bleeds_between_materials() {
+    let plane = "v 0 0 0\nv 1 0 0\nv 2 0 0\nv 0 1 0\nv 1 1 0\nv 2 1 0\n";
+    assert_apart(&format!("{plane}usemtl a\nf 1 2 5 4\nusemtl b\nf 2 3 6 5\n"));
+    // A face turned over shows its back where its neighbour shows its front.
+    assert_apart(&format!("{plane}f 1 2 5 4\nf 2 5 6 3\n"));
+}
+
+#[test]
+fn nothing_bleeds_to_the_other_side() {
+    let s = Setup::new(TRAPEZIUM, 0.2);
+    let field = s.field(|e| f64::from(u8::from(s.mesh.place(e).1)));
+    for k in 0..500 {
+        let uv = DVec2::new(noise(2 * k), noise(2 * k + 1));
+        let uv = if uv.x + uv.y > 1.0 { DVec2::ONE - uv } else { uv };
+        for face in 0..2 {
+            assert!((s.at(&field, (face, true), uv) - 1.0).abs() < 1e-6);
+            assert!(s.at(&field, (face, false), uv).abs() < 1e-6);
+        }
+    }
+}
+
+#[test]
+fn smooth_neighbours_mix_and_nothing_else_does() {
+    // Folded by 20 degrees, but with one shading normal along the common edge.
+    let folded = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 1.94 0 0.34\nv 1.94 1 0.34\n\
+                  vn 0 0 1\nvn -0.17365 0 0.98481\nvn -0.34202 0 0.93969\n";
+    let value = |obj: &str| {
+        let s = Setup::new(obj, 0.25);
+        let field = s.field(|e| if s.mesh.place(e).0 == 0 { 1.0 } else { 0.0 });
+        let p = DVec3::new(1.0, 0.5, 0.0) - s.scene.center;
+        [0, 1].map(|face| s.at_point(&field, (face, true), p))
+    };
+    let [a, b] = value(&format!("{folded}f 1//1 2//2 3//2 4//1\nf 2//2 5//3 6//3 3//2\n"));
+    assert!((a - b).abs() < 1e-5 && (a - 0.5).abs() < 0.3, "{a} {b}");
+    let [a, b] = value(&format!("{folded}f 1//1 2//1 3//1 4//1\nf 2//3 5//3 6//3 3//3\n"));
+    assert!((a - 1.0).abs() < 1e-6 && b.abs() < 1e-6, "{a} {b}");
+}
+
+#[test]
+fn covered_elements_have_no_influence() {
+    let mut s = Setup::new(SQUARE, 0.1);
+    let covered: Vec<bool> = (0..s.mesh.len() as u32)
+        .map(|e| {
+            let c = s.mesh.centroid(&s.scene, e) + s.scene.center;
+            c.x > 0.3 && c.x < 0.6 && c.y > 0.3 && c.y < 0.6
+        })
+        .collect();
+    assert_eq!(covered.iter().filter(|c| **c).count(), 2 * 9);
+    for (open, covered) in s.open.iter_mut().zip(&covered) {
+        *open = if *covered { 0.0 } else { 1.0 };
+    }
+    let fields = [0.0, 1e6].map(|v| s.field(|e| if covered[e as usize] { v } else { 0.8 }));
+    for k in 0..4000 {
+        let uv = DVec2::new(noise(2 * k), noise(2 * k + 1));
+        let values = fields.each_ref().map(|f| s.at(f, (0, true), uv));
+        assert_eq!(values[0], values[1], "{uv}");
+        // Under what covers it the value is nobody's concern.
+        let seen = uv.min_element() <= 0.3 || uv.max_element() >= 0.6;
+        assert!(!seen || (values[0] - 0.8).abs() < 1e-6, "{uv}: {}", values[0]);
+    }
+}
+
+/// Rays to known points find the element whose cell holds the point, on either side of every face.
+#[test]
+fn rays_find_the_element_that_they_hit() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/cornell/cornell.toml");
+    let scene = load(&path).unwrap();
+    assert!(scene.triangle_count > 0 && scene.triangle_count < scene.faces.len());
+    let device = Device::new(1).unwrap();
+    let visibility = Visibility::new(&device, &scene).unwrap();
+    let mesh = Mesh::new(&scene, &Sides::all(&scene), 0.05, true).unwrap();
+    for element in 0..mesh.len() as u32 {
+        let (face, front, cell) = mesh.place(element);
+        let (p0, e1, e2) = scene.face_frame(&scene.faces[face as usize]);
+        let grid = mesh.grid(face);
+        let frame = grid.cell_frame(cell);
+        let normal = mesh.normal(&scene, element);
+        // The centroid and points near the cell's corners.
+        for (s, t) in [(0.5, 0.5), (0.02, 0.03), (0.97, 0.02), (0.03, 0.96), (0.96, 0.97)] {
+            let uv = grid.cell_point(&frame, s, t);
+            let point = p0 + uv.x * e1 + uv.y * e2;
+            // From close above the point, aslant: nothing else is in between.
+            let slant = 0.3 * (e1.normalize() * (noise(element) - 0.5) + e2.normalize() * 0.2);
+            let origin = point + 1e-3 * (normal + slant);
+            let direction = (point - origin).normalize();
+            let hit = visibility.closest(origin.as_vec3(), direction.as_vec3(), u32::MAX).unwrap();
+            assert_eq!((hit.face, hit.front), (face, front), "element {element}");
+            assert_eq!(mesh.element(hit.face, hit.front, hit.u, hit.v), element, "{uv}");
+            assert!(visibility.point(&hit).point.distance(point) < 1e-5);
+        }
+        let centroid = mesh.centroid(&scene, element);
+        let uv = frame.0 + (frame.1 + frame.2) / if grid.triangle { 3.0 } else { 2.0 };
+        assert_eq!(mesh.element(face, front, uv.x as f32, uv.y as f32), element);
+        assert!(centroid.distance(p0 + uv.x * e1 + uv.y * e2) < 1e-12);
+    }
+    let fronts = Mesh::new(&scene, &Sides::fronts(&scene), 0.05, true).unwrap();
+    assert!((0..scene.faces.len() as u32).all(|f| fronts.element(f, false, 0.3, 0.3) == NONE));
+}
