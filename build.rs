@@ -19,8 +19,9 @@ fn main() {
 
 /// Ends the build with one line that says what to do.
 fn fail(message: &str) -> ! {
-    println!("cargo::error={message}");
-    exit(1)
+    println!("cargo::error={}", message.replace('\n', "; "));
+    // The line alone fails the build. A failing exit code would bury it in all that was printed.
+    exit(0)
 }
 
 /// bindgen itself panics with a page of text where libclang is missing.
@@ -119,12 +120,12 @@ fn embree() {
         .allowlist_var("RTC_VERSION");
     generate(bindings, "embree.rs");
 
-    cc::Build::new()
-        .file("ffi/embree_shim.c")
+    let mut shim = cc::Build::new();
+    shim.file("ffi/embree_shim.c")
         .includes(&library.include)
         .define("TWOPASS_EMBREE", define.as_str())
-        .warnings(true)
-        .compile("twopass_embree_shim");
+        .warnings(true);
+    compile(&shim, "twopass_embree_shim");
     library.link(&[&format!("embree{major}")]);
 }
 
@@ -150,15 +151,17 @@ fn oiio() {
         builder("ffi/oiio_shim.h", &library).allowlist_function("twopass_.*").allowlist_type("Twopass.*");
     generate(bindings, "oiio.rs");
 
-    cc::Build::new()
-        .cpp(true)
-        .std("c++17")
-        .file("ffi/oiio_shim.cpp")
-        .includes(&library.include)
-        // OpenImageIO's own headers warn.
-        .warnings(false)
-        .compile("twopass_oiio_shim");
+    let mut shim = cc::Build::new();
+    // OpenImageIO's own headers warn.
+    shim.cpp(true).std("c++17").file("ffi/oiio_shim.cpp").includes(&library.include).warnings(false);
+    compile(&shim, "twopass_oiio_shim");
     library.link(&["OpenImageIO", "OpenImageIO_Util"]);
+}
+
+fn compile(shim: &cc::Build, name: &str) {
+    if let Err(error) = shim.try_compile(name) {
+        fail(&format!("{name} did not compile; the package g++ has the compilers it needs ({error})"));
+    }
 }
 
 fn builder(header: &str, library: &Library) -> bindgen::Builder {
@@ -185,8 +188,6 @@ fn generate(builder: bindgen::Builder, file: &str) {
                 fail(&format!("{}: {error}", out.display()));
             }
         }
-        Err(error) => {
-            fail(&format!("headers could not be bound ({})", error.to_string().replace('\n', "; ")))
-        }
+        Err(error) => fail(&format!("headers could not be bound ({error})")),
     }
 }
