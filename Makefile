@@ -8,7 +8,7 @@ help:
 	@echo "make render         render $(SCENE) to out/cornell.exr and out/cornell.png"
 	@echo "make test           run every test, documentation examples included"
 	@echo "make lint           check formatting, clippy and the documentation"
-	@echo "make bench          speed against error, to out/bench"
+	@echo "make bench          rays per second and error over time (the tables of the README)"
 	@echo "make test-debian13  run the tests in a Debian 13 root (Embree 4, cargo 1.85); needs root"
 	@echo "make setup          install the Debian packages that are missing"
 
@@ -20,7 +20,7 @@ build: setup
 
 render: build
 	@mkdir -p out
-	$(TWOPASS) render $(SCENE) -o out/cornell.exr -o out/cornell.png
+	$(TWOPASS) render $(SCENE) -o out/cornell.exr -o out/cornell.png --exposure 1
 
 # The test profile: optimised, but without the release profile's link-time optimisation.
 # --show-output: says which Embree and OpenImageIO ran, and which tests found no reference data.
@@ -32,9 +32,8 @@ lint: setup
 	$(CARGO) clippy --locked --all-targets -- -D warnings
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --locked --no-deps
 
-bench: build
-	@mkdir -p out
-	$(TWOPASS) bench -o out/bench
+bench: setup
+	$(CARGO) bench --locked --bench rates --bench images
 
 test-debian13: setup
 	@bash ci/debian13.sh
