@@ -136,6 +136,23 @@ fn neighbouring_polygons_of_one_plane_and_material_meet_without_a_seam() {
     }
 }
 
+/// Triangles of different polygons divide a common edge into different numbers of cells: the finer
+/// one's nodes hang on the coarser one's.
+#[test]
+fn grids_of_different_fineness_meet_without_a_seam() {
+    for top in ["3 3 0", "1.2 0.9 0", "9 9 0"] {
+        let s = Setup::new(&format!("v 0 0 0\nv 1 0 0\nv 0 1 0\nv {top}\nf 1 2 3\nf 2 4 3\n"), 0.21);
+        assert_ne!(s.mesh.grid(0).nu, s.mesh.grid(1).nu, "the test needs different grids");
+        let field = s.field(noise);
+        for k in 0..=100 {
+            let t = f64::from(k) / 100.0;
+            let p = DVec3::new(1.0 - t, t, 0.0) - s.scene.center;
+            let [a, b] = [0, 1].map(|face| s.at_point(&field, (face, true), p));
+            assert!((a - b).abs() < 1e-5, "{top} {k}: {a} {b}");
+        }
+    }
+}
+
 /// Away from the borders a linear function comes back but for single precision and what is left
 /// of the borders' flattening; at the borders, within a part of a cell's step.
 #[test]

@@ -171,6 +171,30 @@ impl Grid {
         iv * (self.nu + 1) - iv * iv.saturating_sub(1) / 2 + iu
     }
 
+    /// Cells along edge `edge`, which runs from corner `edge` to the next.
+    pub fn edge_cells(&self, edge: usize) -> u32 {
+        if edge % 2 == 0 { self.nu } else { self.nv }
+    }
+
+    /// Local index of the `k`-th node of an edge, 0 <= k <= [`Grid::edge_cells`].
+    pub fn edge_node(&self, edge: usize, k: u32) -> u32 {
+        let (nu, nv) = (self.nu, self.nv);
+        if self.triangle {
+            return match edge {
+                0 => self.triangle_node(k, 0),
+                1 => self.triangle_node(nu - k, k),
+                _ => self.triangle_node(0, nu - k),
+            };
+        }
+        let (iu, iv) = match edge {
+            0 => (k, 0),
+            1 => (nu, k),
+            2 => (nu - k, nv),
+            _ => (0, nv - k),
+        };
+        iv * (nu + 1) + iu
+    }
+
     /// Number of grid nodes.
     pub fn node_count(&self) -> u32 {
         if self.triangle { (self.nu + 1) * (self.nu + 2) / 2 } else { (self.nu + 1) * (self.nv + 1) }

@@ -3,11 +3,11 @@
 //! A node is shared by cells of the same patch only: faces that meet along an edge, have the same
 //! material and lie in one plane (or carry equal shading normals along the edge). So a value that
 //! is interpolated between nodes never bleeds over a crease, between materials or to the far side,
-//! and it is continuous over each polygon, and over the whole patch where the grids of neighbours
-//! divide their common edge equally. (Triangles of different polygons may not: a grid follows from
-//! its polygon's longest edge.)
+//! and it is continuous over each patch: where neighbours divide their common edge differently, the
+//! finer one's nodes on the edge hang between the nodes of the coarser one.
 
 use super::{Mesh, NONE, side_index};
+use crate::color::Rgb;
 use crate::scene::{Face, Scene};
 use glam::DVec3;
 use std::collections::HashMap;
@@ -22,12 +22,26 @@ pub struct Nodes {
     first: Vec<u32>,
     ids: Vec<u32>,
     count: usize,
+    hanging: Vec<Hanging>,
 }
+
+/// A node within a coarser neighbour's edge: its value lies between two nodes of that edge.
+#[derive(Debug, Clone, Copy)]
+struct Hanging {
+    node: u32,
+    ends: [u32; 2],
+    /// Share of the second end.
+    share: f64,
+}
+
+/// An edge that two faces of a patch share: face and edge number of either, which run along it in
+/// opposite directions.
+type Joint = [(u32, usize); 2];
 
 impl Nodes {
     /// Numbers the nodes of a mesh.
     pub fn new(scene: &Scene, mesh: &Mesh) -> Nodes {
-        let patches = patches(scene);
+        let (patches, joints) = patches(scene);
         let quantum = 1e-7 * scene.radius.max(f64::MIN_POSITIVE);
         let mut seen: HashMap<(u32, bool, [i64; 3]), u32> = HashMap::new();
         let (mut first, mut ids) = (vec![NONE; 2 * scene.faces.len()], Vec::new());
@@ -45,7 +59,49 @@ impl Nodes {
                 }
             }
         }
-        Nodes { first, ids, count: seen.len() }
+        let mut nodes = Nodes { first, ids, count: seen.len(), hanging: Vec::new() };
+        for joint in &joints {
+            nodes.hang(mesh, joint);
+        }
+        nodes
+    }
+
+    /// Hangs the nodes of the finer face on the edge of the coarser one.
+    fn hang(&mut self, mesh: &Mesh, joint: &Joint) {
+        let cells = joint.map(|(face, edge)| mesh.grid(face).edge_cells(edge));
+        let (fine, coarse) = if cells[0] > cells[1] { (0, 1) } else { (1, 0) };
+        let (many, few) = (cells[fine], cells[coarse]);
+        if many == few {
+            return;
+        }
+        let ((face, edge), (other, other_edge)) = (joint[fine], joint[coarse]);
+        for front in [true, false] {
+            if mesh.first(face, front) == NONE || mesh.first(other, front) == NONE {
+                continue;
+            }
+            for k in 1..many {
+                // Counted along the coarse edge, which runs the other way.
+                let position = u64::from(many - k) * u64::from(few);
+                let (cell, rest) = ((position / u64::from(many)) as u32, position % u64::from(many));
+                if rest == 0 {
+                    continue;
+                }
+                let end = |c: u32| self.id(other, front, mesh.grid(other).edge_node(other_edge, c)) as u32;
+                self.hanging.push(Hanging {
+                    node: self.id(face, front, mesh.grid(face).edge_node(edge, k)) as u32,
+                    ends: [end(cell), end(cell + 1)],
+                    share: rest as f64 / f64::from(many),
+                });
+            }
+        }
+    }
+
+    /// Sets hanging nodes to what their coarser neighbours say.
+    pub fn settle(&self, values: &mut [Rgb]) {
+        for h in &self.hanging {
+            let [a, b] = h.ends.map(|e| values[e as usize]);
+            values[h.node as usize] = a.lerp(b, h.share);
+        }
     }
 
     /// Number of distinct nodes.
@@ -66,8 +122,9 @@ fn quantise(p: DVec3, quantum: f64) -> [i64; 3] {
     [q.x.floor() as i64, q.y.floor() as i64, q.z.floor() as i64]
 }
 
-/// A patch number for each face.
-fn patches(scene: &Scene) -> Vec<u32> {
+/// A patch number for each face, and the edges along which faces of a patch meet.
+fn patches(scene: &Scene) -> (Vec<u32>, Vec<Joint>) {
+    let mut joints = Vec::new();
     let quantum = 1e-7 * scene.radius.max(f64::MIN_POSITIVE);
     let mut welded: HashMap<[i64; 3], u32> = HashMap::new();
     let weld: Vec<u32> = scene
@@ -90,13 +147,14 @@ fn patches(scene: &Scene) -> Vec<u32> {
                     if continuous(scene, face, c, &scene.faces[other as usize], corner) {
                         let (x, y) = (find(&mut parent, k as u32), find(&mut parent, other));
                         parent[x.max(y) as usize] = x.min(y);
+                        joints.push([(k as u32, c), (other, corner)]);
                     }
                 }
             }
             edges.entry((a, b)).or_default().push((k as u32, c));
         }
     }
-    (0..scene.faces.len() as u32).map(|k| find(&mut parent, k)).collect()
+    ((0..scene.faces.len() as u32).map(|k| find(&mut parent, k)).collect(), joints)
 }
 
 fn find(parent: &mut [u32], mut k: u32) -> u32 {

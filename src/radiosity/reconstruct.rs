@@ -62,6 +62,7 @@ impl Field {
             sum
         };
         let mut field = spread(&|e| values[e]);
+        nodes.settle(&mut field);
         for _ in 0..corrections {
             let missing = spread(&|e| {
                 let (ids, count) = &corners[e];
@@ -72,6 +73,7 @@ impl Field {
                 *v = (*v + missing[k]).clamp((low[k] - margin).max(Rgb::ZERO), high[k] + margin);
             }
         }
+        nodes.settle(&mut field);
         Field { nodes: field.iter().map(|v| v.as_vec3().to_array()).collect() }
     }
 
