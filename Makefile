@@ -22,7 +22,8 @@ render: build
 	@mkdir -p out
 	$(TWOPASS) render $(SCENE) -o out/cornell.exr -o out/cornell.png --exposure 1
 
-# The test profile: optimised, but without the release profile's link-time optimisation.
+# The test profile, opt-level 2: building it takes 198 s of processor time, the release profile with its
+# link-time optimisation 263 s, and the tests run for only some ten seconds.
 # --show-output: says which Embree and OpenImageIO ran, and which tests found no reference data.
 test: setup
 	$(CARGO) test --locked -- --show-output
