@@ -6,6 +6,7 @@ use crate::emitters::Emitters;
 use crate::form_factor::{self, Casting, ExchangeMatrix, pass_on};
 use crate::mesh::{Mesh, default_element_size};
 use crate::radiosity::{self, Solution};
+use crate::sampling::MAX_POINTS;
 use crate::scene::{Camera, Features, Scene};
 use crate::visibility::{Visibility, reachable_sides};
 use crate::{Error, Result};
@@ -133,7 +134,8 @@ pub fn solve(
     if let Some(build) = stages.iter_mut().find(|s| s.name == "build") {
         build.seconds += start.elapsed().as_secs_f64();
     }
-    let batches = BATCHES.min(settings.rays.max(1));
+    // As many as the matrix will have: long rows need several sequences.
+    let batches = BATCHES.max(settings.rays.div_ceil(MAX_POINTS)).min(settings.rays.max(1));
     let samples = (settings.rays / 4).div_ceil(batches).max(16);
     let (matrix, hemisphere, sampled) = stage("form-factors", mesh.len() as u64, observer, stages, || {
         let casting = Casting {
