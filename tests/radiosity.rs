@@ -477,3 +477,34 @@ fn more_rays_than_one_sequence() {
         assert!((mean / b - 1.0).abs() < 5e-3, "{name}: {mean}, exact {b}");
     }
 }
+
+/// A closed room of albedo 1 has no steady state: an error, never a number, at any mesh and work.
+#[test]
+fn a_closed_white_room_is_an_error() {
+    for (size, rays, seed) in [(10.0, 64, 0), (0.5, 64, 1), (0.25, 256, 2), (0.1, 100, 3), (0.3, 1000, 4)] {
+        for all in [true, false] {
+            let mut e = vec![vec![if all { 1.0 } else { 0.0 }]; 6];
+            e[5] = vec![1.0];
+            let scene = room([1.0; 3], &vec![vec![1.0]; 6], &e).load();
+            if let Ok(r) = solve(&scene, rays, size, seed) {
+                panic!(
+                    "elements {size}, {rays} rays, all emit {all}: B = {:e} where none exists, {:?}",
+                    r.solution.radiosity[0].x, r.solution.convergence
+                );
+            }
+        }
+    }
+}
+
+/// A light that reflects nothing has no elements, but its power counts: emitted = absorbed + escaped.
+#[test]
+fn ledger_with_a_black_light() {
+    let mut files = Files::default();
+    files.diffuse("light", &[0.0], &[1.0]).diffuse("floor", &[0.5], &[0.0]);
+    files.polygon("light", "light", &[[0.0, 1.0, 1.0], [1.0, 1.0, 1.0], [1.0, 0.0, 1.0], [0.0, 0.0, 1.0]]);
+    files.polygon("floor", "floor", &[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]]);
+    let scene = files.load();
+    let s = solved(&scene, 16_384, 0.25, 6);
+    eprintln!("black light: {:?}", s.ledger);
+    assert!(s.ledger.residual.abs().max_element() < 1e-2, "{:?}", s.ledger);
+}
