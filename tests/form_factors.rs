@@ -292,8 +292,8 @@ fn the_same_bits_on_any_number_of_threads() {
 }
 
 /// The 95 % interval (Student's t, 15 degrees of freedom: 2.131) over 40 seeds, both ways of a
-/// smooth pair and of a blocked one: 160 intervals, 152 expected to hold. 85 to 100 % leaves a right
-/// program with a probability below 1e-6, and one whose errors are half of what they should be with certainty.
+/// smooth pair and of a blocked one: 80 intervals each, 76 expected to hold. Less than 85 % come by chance
+/// in 3 of 10,000; of a program that states half its errors, 70 % would hold.
 #[test]
 fn standard_errors_are_calibrated() {
     let blocker = vec![[0.25, 0.25, 0.5], [0.75, 0.25, 0.5], [0.75, 0.75, 0.5], [0.25, 0.75, 0.5]];

@@ -364,7 +364,7 @@ fn oracle_translucent_chain() {
 
 /// The inside of a sphere in three zones. Flat facets see nothing of themselves and are not quite spherical: the
 /// error falls with their number, from about 1 % with three bands a zone to 0.1 % with nine. One element a
-/// facet, 1024 rays; the noise of a zone's mean is below 0.05 %.
+/// facet, 1024 rays, one seed.
 #[test]
 fn oracle_sphere_inside() {
     let Some(entries) = oracle("public_radiosity.json") else { return };
