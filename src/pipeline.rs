@@ -6,6 +6,7 @@ use crate::emitters::Emitters;
 use crate::form_factor::{self, Casting, EmitterWork, ExchangeMatrix, pass_on};
 use crate::mesh::{Mesh, default_element_size};
 use crate::radiosity::{self, EmitterLight, Solution};
+use crate::sampling::MAX_POINTS;
 use crate::scene::{Camera, Features, Scene};
 use crate::visibility::{Visibility, reachable_sides};
 use crate::{Error, Result};
@@ -138,7 +139,8 @@ pub fn solve(
         build.seconds += start.elapsed().as_secs_f64();
     }
     let specular = Features::of(scene).specular;
-    let batches = BATCHES.min(settings.rays.max(1));
+    // As many as the matrix will have: long rows need several sequences.
+    let batches = BATCHES.max(settings.rays.div_ceil(MAX_POINTS)).min(settings.rays.max(1));
     let samples = (settings.rays / 4).div_ceil(batches).max(16);
     // Particles cost half of what the rows' rays cost, where they can bring anything.
     let particles = if specular { particles_per_batch(mesh.len(), settings.rays, batches) } else { 0 };

@@ -140,9 +140,9 @@ fn neighbouring_polygons_of_one_plane_and_material_meet_without_a_seam() {
 /// one's nodes hang on the coarser one's.
 #[test]
 fn grids_of_different_fineness_meet_without_a_seam() {
-    for top in ["3 3 0", "1.2 0.9 0", "9 9 0"] {
+    for (top, different) in [("3 3 0", true), ("1.2 0.9 0", false), ("9 9 0", true)] {
         let s = Setup::new(&format!("v 0 0 0\nv 1 0 0\nv 0 1 0\nv {top}\nf 1 2 3\nf 2 4 3\n"), 0.21);
-        assert_ne!(s.mesh.grid(0).nu, s.mesh.grid(1).nu, "the test needs different grids");
+        assert_eq!(s.mesh.grid(0).nu != s.mesh.grid(1).nu, different, "{top}");
         let field = s.field(noise);
         for k in 0..=100 {
             let t = f64::from(k) / 100.0;

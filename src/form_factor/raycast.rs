@@ -174,8 +174,9 @@ fn targets(scene: &Scene, mesh: &Mesh, casting: &Casting) -> Vec<Target> {
         let material = scene.material(&scene.faces[k as usize]);
         let emitter = casting.emitters.is_some_and(|(e, _)| e.at(k, front).is_some());
         let specular = casting.specular && material.is_specular() && (front || material.two_sided);
-        let unreached = casting.reached.is_some_and(|r| !r.contains(k, front));
-        EMITTER * u8::from(emitter) | SPECULAR * u8::from(specular) | UNREACHED * u8::from(unreached)
+        // A specular side leads on wherever it is; only a side that would end the ray can prove it covered.
+        let unreached = !specular && casting.reached.is_some_and(|r| !r.contains(k, front));
+        (EMITTER * u8::from(emitter)) | (SPECULAR * u8::from(specular)) | (UNREACHED * u8::from(unreached))
     };
     let target = |k: u32| Target {
         normal: scene.faces[k as usize].normal.as_vec3(),

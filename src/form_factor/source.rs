@@ -100,7 +100,7 @@ fn disc(u: f32, v: f32) -> (f32, f32) {
     if swap { (r * sin, r * cos) } else { (r * cos, r * sin) }
 }
 
-/// Seconds that Embree alone takes for the rays that [`cast`] would cast, specular chains aside, summed over
+/// Seconds that Embree alone takes for the rays that [`super::cast`] would cast, specular chains aside, summed over
 /// threads, and their number: the raw rate that a benchmark sets beside the whole stage.
 ///
 /// The rays of an element are made first, in packets that stay in the cache, and only the calls

@@ -253,13 +253,16 @@ impl Mesh {
         for (face, grid) in scene.faces.iter().zip(&mut grids).filter(|(_, g)| g.triangle) {
             (grid.nu, grid.nv) = (finest[face.polygon as usize], finest[face.polygon as usize]);
         }
+        patch::nest(scene, &mut grids);
         let (mut first, mut side_of, mut area) = (vec![NONE; 2 * scene.faces.len()], Vec::new(), Vec::new());
         let mut total = 0u64;
         for (k, (face, grid)) in scene.faces.iter().zip(&grids).enumerate() {
             let material = scene.material(face);
             for front in [true, false] {
                 let side = side_index(k as u32, front);
-                let used = with_black || (material.is_diffuse() && (front || material.two_sided));
+                // A black emitter gathers nothing, but its power must be accounted for.
+                let diffuse = material.is_diffuse() && (front || material.two_sided);
+                let used = with_black || diffuse || material.emitted(front).max_element() > 0.0;
                 if !sides.0[side] || !used {
                     continue;
                 }

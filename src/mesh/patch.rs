@@ -6,7 +6,7 @@
 //! and it is continuous over each patch: where neighbours divide their common edge differently, the
 //! finer one's nodes on the edge hang between the nodes of the coarser one.
 
-use super::{Mesh, NONE, side_index};
+use super::{Grid, Mesh, NONE, side_index};
 use crate::color::Rgb;
 use crate::scene::{Face, Scene};
 use glam::DVec3;
@@ -113,6 +113,43 @@ impl Nodes {
     #[inline]
     pub fn id(&self, face: u32, front: bool, local: u32) -> usize {
         self.ids[(self.first[side_index(face, front)] + local) as usize] as usize
+    }
+}
+
+/// Makes the numbers of cells along the edges of each patch multiples of each other by powers of two, none
+/// smaller than before: only then can a hanging node follow a coarser neighbour exactly.
+pub(super) fn nest(scene: &Scene, grids: &mut [Grid]) {
+    let (_, joints) = patches(scene);
+    // Opposite edges of a parallelogram, and all edges of a triangle, have equal numbers of cells.
+    let direction = |grids: &[Grid], (face, edge): (u32, usize)| {
+        2 * face + u32::from(!grids[face as usize].triangle && edge % 2 == 1)
+    };
+    let mut parent: Vec<u32> = (0..2 * grids.len() as u32).collect();
+    for joint in &joints {
+        let [a, b] = joint.map(|end| direction(grids, end));
+        let (x, y) = (find(&mut parent, a), find(&mut parent, b));
+        parent[x.max(y) as usize] = x.min(y);
+    }
+    let mut range = vec![(u32::MAX, 0u32); parent.len()];
+    for k in 0..parent.len() as u32 {
+        let grid = &grids[k as usize / 2];
+        let cells = if k % 2 == 0 { grid.nu } else { grid.nv };
+        let r = &mut range[find(&mut parent, k) as usize];
+        *r = (r.0.min(cells), r.1.max(cells));
+    }
+    for k in 0..parent.len() as u32 {
+        let (least, most) = range[find(&mut parent, k) as usize];
+        let smallest = most.div_ceil(1 << (most / least).ilog2());
+        let grid = &mut grids[k as usize / 2];
+        let cells = if k % 2 == 0 { &mut grid.nu } else { &mut grid.nv };
+        let wanted = *cells;
+        *cells = smallest;
+        while *cells < wanted {
+            *cells *= 2;
+        }
+        if grid.triangle {
+            grid.nv = grid.nu;
+        }
     }
 }
 

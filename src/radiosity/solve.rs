@@ -12,6 +12,9 @@ use crate::{Error, Result};
 /// Most steps; far above what any reflectance below 1 - 1e-6 needs.
 const MOST_STEPS: usize = 2000;
 
+/// Mean share of light lost at a bounce below which single-precision rays cannot tell a steady state from none.
+const LEAST_LOSS: f64 = 1e-8;
+
 /// How a solve ended.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Convergence {
@@ -34,6 +37,22 @@ pub fn solve_reflected(
     tolerance: f64,
 ) -> Result<(Vec<Rgb>, Convergence)> {
     let b = transport.reflect(incident);
+    // Rays see a closed white room as closed exactly; the solver would return a large number.
+    let lost = (0..matrix.len()).fold(Rgb::ZERO, |sum, row| {
+        let s = &matrix.summary[row];
+        sum + (Rgb::ONE - transport.reflectance[row] - transport.transmittance[row]) + s.escaped + s.absorbed
+    }) / matrix.len().max(1) as f64;
+    let lit = b.iter().fold(Rgb::ZERO, |m, b| m.max(*b));
+    if (0..3).any(|c| lit[c] > 0.0 && lost[c] < LEAST_LOSS) {
+        return Err(Error::scene(
+            "radiosity",
+            format!(
+                "no steady state exists: the surfaces absorb a share of {:.1e} of the light and none escapes; \
+                 lower an albedo below 1 or open the scene",
+                lost.min_element()
+            ),
+        ));
+    }
     let apply = |x: &[Rgb]| -> Vec<Rgb> {
         let y = transport.reflect(&matrix.multiply(x));
         x.iter().zip(&y).map(|(x, y)| *x - *y).collect()

@@ -131,6 +131,9 @@ impl Context<'_, '_> {
                         if passage == Passage::Straight && image { Passage::Image } else { Passage::Chain };
                 } else {
                     let p = surface.density(direction);
+                    if p <= 0.0 {
+                        return radiance;
+                    }
                     throughput *= surface.evaluate(direction) / p;
                     (sampled, passage, length) = (Some(p), Passage::Straight, 0.0);
                 }
@@ -144,6 +147,10 @@ impl Context<'_, '_> {
                     return radiance;
                 }
                 let p = surface.density(direction);
+                // Exactly grazing: such a direction carries nothing.
+                if p <= 0.0 {
+                    return radiance;
+                }
                 throughput *= surface.evaluate(direction) / p;
                 (sampled, passage, length) = (Some(p), Passage::Straight, 0.0);
             }

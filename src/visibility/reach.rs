@@ -22,6 +22,10 @@ const STEPS: u32 = 12;
 const PROOF: u32 = 3;
 /// Segments tried from each side that no particle found.
 const SEGMENTS: u32 = 64;
+/// Points that segments lead to, at most.
+const MOST_WITNESSES: usize = 1 << 16;
+/// Witnesses tried from the point where a ray from such a side lands.
+const STEPPING_STONES: u32 = 4;
 
 /// The sides that light or a camera can reach.
 ///
@@ -59,24 +63,27 @@ pub fn reachable_sides(visibility: &Visibility, cameras: &[(CameraFrame, [u32; 2
             .collect();
     }
     let mut found = vec![0u32; 2 * scene.faces.len()];
-    let mut witness = vec![None; 2 * scene.faces.len()];
+    let mut seen = Vec::new();
     for walk in &mut walks {
         walk.sort_unstable_by_key(|(side, _)| *side);
         walk.dedup_by_key(|(side, _)| *side);
         for (side, point) in walk {
             found[*side as usize] += 1;
-            witness[*side as usize].get_or_insert(*point);
+            seen.push((*side, *point));
         }
     }
     for &(face, front) in &emitters {
         found[side_index(face, front)] = PROOF;
     }
     let mut reached = Sides(found.iter().map(|&n| n >= PROOF).collect());
-    let witnesses: Vec<(DVec3, DVec3)> = (0..reached.0.len())
-        .filter(|&s| reached.0[s])
-        .filter_map(|s| {
-            let normal = scene.faces[s / 2].normal * if s % 2 == 0 { 1.0 } else { -1.0 };
-            witness[s].map(|p| (p, normal))
+    // Points as particles found them, not one a side: a finely divided object would provide them all.
+    let stride = seen.len().div_ceil(MOST_WITNESSES).max(1);
+    let witnesses: Vec<(DVec3, DVec3)> = seen
+        .iter()
+        .filter(|(side, _)| reached.0[*side as usize])
+        .step_by(stride)
+        .map(|(side, p)| {
+            (*p, scene.faces[*side as usize / 2].normal * if side % 2 == 0 { 1.0 } else { -1.0 })
         })
         .collect();
     let more: Vec<bool> = (0..reached.0.len())
@@ -104,23 +111,38 @@ fn connects(
         let (u, v) = if face.is_triangle() { sampling::triangle(p[0], p[1]) } else { (p[0], p[1]) };
         let point = p0 + u * e1 + v * e2;
         let origin = visibility.leave(point, normal);
-        if outside {
-            let d = Frame::new(normal).to_scene(cosine_hemisphere(p[2], p[3])).as_vec3();
-            if visibility.closest(origin, d, side / 2).is_none() {
-                return true;
-            }
+        let q = sobol(k, 0, seed_of(&[seed, side, 0xc1]));
+        let d = Frame::new(normal).to_scene(cosine_hemisphere(q[0], q[1])).as_vec3();
+        let Some(hit) = visibility.closest(origin, d, side / 2) else { return outside };
+        if free(visibility, point, normal, witnesses, p[2]) {
+            return true;
         }
-        if witnesses.is_empty() {
-            return false;
-        }
-        let (target, facing) = witnesses[(p[2] * witnesses.len() as f64) as usize % witnesses.len()];
-        let d = target - point;
-        // Grazing segments could pass through contacts by rounding.
-        let l = d.length();
-        d.dot(normal) > 1e-3 * l
-            && -d.dot(facing) > 1e-3 * l
-            && visibility.unoccluded(&visibility.segment(origin, target, facing))
+        // Most witnesses may lie behind a small face: from where its light goes, they can be seen.
+        let stone = visibility.point(&hit);
+        (0..STEPPING_STONES).any(|i| {
+            let r = (q[2] + f64::from(i) / f64::from(STEPPING_STONES)).fract();
+            free(visibility, stone.point, stone.geometric, witnesses, r)
+        })
     })
+}
+
+/// Whether the segment from a point to the witness that `choice` in [0, 1) picks is free.
+fn free(
+    visibility: &Visibility,
+    point: DVec3,
+    normal: DVec3,
+    witnesses: &[(DVec3, DVec3)],
+    choice: f64,
+) -> bool {
+    let Some(&(target, facing)) = witnesses.get((choice * witnesses.len() as f64) as usize) else {
+        return false;
+    };
+    let d = target - point;
+    // Grazing segments could pass through contacts by rounding.
+    let l = d.length();
+    d.dot(normal) > 1e-3 * l
+        && -d.dot(facing) > 1e-3 * l
+        && visibility.unoccluded(&visibility.segment(visibility.leave(point, normal), target, facing))
 }
 
 struct Walker<'a, 's> {
