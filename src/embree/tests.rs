@@ -1,6 +1,5 @@
 use super::*;
 use glam::Vec3;
-use std::time::Instant;
 
 /// Vertices, triangles and quads.
 type Faces = (Vec<[f32; 3]>, Vec<[u32; 3]>, Vec<[u32; 4]>);
@@ -240,63 +239,4 @@ fn a_scene_outlives_its_device_and_moves_between_threads() {
     .join()
     .unwrap();
     assert!(scene.occluded(&down(0.5, 1.0)));
-}
-
-/// What the wrapper costs over the bare call. Prints; run with
-/// `cargo test --release packet_overhead -- --ignored --nocapture`.
-#[test]
-#[ignore = "a measurement"]
-fn packet_overhead() {
-    let mut numbers = Numbers(7);
-    let (vertices, triangles, quads) = room(30, &mut numbers);
-    let scene = CommittedScene::new(&Device::new(1).unwrap(), &vertices, &triangles, &quads).unwrap();
-    let rays: Vec<Ray> = (0..1 << 16)
-        .map(|_| Ray::new(2.0 * numbers.next() * numbers.direction(), numbers.direction()))
-        .collect();
-    let filled: Vec<RayPacket> = rays
-        .chunks(LANES)
-        .map(|rays| {
-            let mut packet = RayPacket::new();
-            rays.iter().enumerate().for_each(|(lane, ray)| packet.set(lane, ray));
-            packet
-        })
-        .collect();
-    let (mut bare, mut wrapped) = (f64::INFINITY, f64::INFINITY);
-    let mut sum = 0u64;
-    for _ in 0..20 {
-        // The rays are in place, and few enough packets at a time to be in the cache; only the call
-        // is timed.
-        let mut seconds = 0.0;
-        for batch in filled.chunks(8) {
-            let mut ready = batch.to_vec();
-            let start = Instant::now();
-            for packet in &mut ready {
-                scene.intersect16(packet, false);
-            }
-            seconds += start.elapsed().as_secs_f64();
-            std::hint::black_box(&ready);
-        }
-        bare = bare.min(seconds);
-
-        let mut packet = RayPacket::new();
-        let start = Instant::now();
-        for rays in rays.chunks(LANES) {
-            rays.iter().enumerate().for_each(|(lane, ray)| packet.set(lane, ray));
-            scene.intersect16(&mut packet, false);
-            for lane in 0..LANES {
-                if let Some(hit) = packet.hit(lane) {
-                    sum += u64::from(hit.face) + u64::from(hit.u.to_bits() ^ hit.v.to_bits());
-                }
-            }
-        }
-        wrapped = wrapped.min(start.elapsed().as_secs_f64());
-    }
-    std::hint::black_box(sum);
-    let rate = |seconds: f64| rays.len() as f64 / seconds / 1e6;
-    println!(
-        "bare {:.1} Mrays/s, with set and hit {:.1} Mrays/s: {:+.1} % time",
-        rate(bare),
-        rate(wrapped),
-        (wrapped / bare - 1.0) * 100.0
-    );
 }
