@@ -4,8 +4,8 @@
 use crate::color::Rgb;
 use crate::emitters::Emitters;
 use crate::form_factor::{self, Casting, EmitterWork, ExchangeMatrix, pass_on};
-use crate::mesh::{Mesh, default_element_size};
-use crate::radiosity::{self, EmitterLight, Solution};
+use crate::mesh::{Mesh, Sides, default_element_size};
+use crate::radiosity::{self, Directional, EmitterLight, Solution};
 use crate::sampling::MAX_POINTS;
 use crate::scene::{Camera, Features, Scene};
 use crate::visibility::{Visibility, reachable_sides};
@@ -130,14 +130,7 @@ pub fn solve(
 ) -> Result<Pass1Result> {
     let scene = visibility.scene();
     require_light(scene, emitters)?;
-    let size = settings.element_size.unwrap_or_else(|| default_element_size(scene));
-    let frames: Vec<_> = cameras.iter().map(|c| (c.frame(scene), c.size)).collect();
-    let start = Instant::now();
-    let reached = reachable_sides(visibility, &frames, settings.seed);
-    let mesh = Mesh::new(scene, &reached, size, false)?;
-    if let Some(build) = stages.iter_mut().find(|s| s.name == "build") {
-        build.seconds += start.elapsed().as_secs_f64();
-    }
+    let (reached, mesh) = reached_mesh(visibility, cameras, settings, false, stages)?;
     let specular = Features::of(scene).specular;
     // As many as the matrix will have: long rows need several sequences.
     let batches = BATCHES.max(settings.rays.div_ceil(MAX_POINTS)).min(settings.rays.max(1));
@@ -184,6 +177,57 @@ pub fn solve(
         (Ok((matrix, light)), rays)
     })?;
     stage("solve", 0, observer, stages, || (finish(scene, mesh, &matrix, emitters, light), 0))
+}
+
+/// Directional radiosity of a scene that is ready for rays, with about `directions` cells a hemisphere: the method
+/// that two-pass rendering is compared with ([`Directional`]).
+pub fn solve_directional(
+    visibility: &Visibility,
+    emitters: &Emitters,
+    cameras: &[Camera],
+    (settings, directions): (&Pass1, u32),
+    observer: Observer,
+    stages: &mut Vec<Stage>,
+) -> Result<Directional> {
+    let scene = visibility.scene();
+    require_light(scene, emitters)?;
+    let mesh = reached_mesh(visibility, cameras, settings, true, stages)?.1;
+    stage("solve", 0, observer, stages, || {
+        let samples = (settings.rays / 4).max(16);
+        let straight = if emitters.is_empty() {
+            vec![Rgb::ZERO; mesh.len()]
+        } else {
+            // The rays of the hemisphere's cells leave the light of emitters to these samples.
+            let sampled =
+                radiosity::sample_emitters(visibility, &mesh, emitters, (1, samples), 0, settings.seed);
+            sampled.iter().map(|s| s.straight).collect()
+        };
+        let rays = mesh.len() as u64 * u64::from(samples);
+        let solution =
+            radiosity::solve_directional(visibility, mesh, emitters, &straight, directions, settings.seed);
+        let rays = rays + solution.as_ref().map_or(0, |s| s.rays);
+        (solution, rays)
+    })
+}
+
+/// The sides that light or a camera can reach, divided into elements; its time counts as `build`.
+fn reached_mesh(
+    visibility: &Visibility,
+    cameras: &[Camera],
+    settings: &Pass1,
+    with_black: bool,
+    stages: &mut [Stage],
+) -> Result<(Sides, Mesh)> {
+    let scene = visibility.scene();
+    let size = settings.element_size.unwrap_or_else(|| default_element_size(scene));
+    let frames: Vec<_> = cameras.iter().map(|c| (c.frame(scene), c.size)).collect();
+    let start = Instant::now();
+    let reached = reachable_sides(visibility, &frames, settings.seed);
+    let mesh = Mesh::new(scene, &reached, size, with_black)?;
+    if let Some(build) = stages.iter_mut().find(|s| s.name == "build") {
+        build.seconds += start.elapsed().as_secs_f64();
+    }
+    Ok((reached, mesh))
 }
 
 /// Particles of one randomisation, for specular chains: half as many in all as the rows have rays.

@@ -117,6 +117,23 @@ pub fn concentric_disc(u: f64, v: f64) -> DVec2 {
     DVec2::new(r * phi.cos(), r * phi.sin())
 }
 
+/// Unit disc to unit square: the inverse of [`concentric_disc`].
+pub fn concentric_square(d: DVec2) -> (f64, f64) {
+    use std::f64::consts::FRAC_2_PI;
+    let r = d.length();
+    if r == 0.0 {
+        return (0.5, 0.5);
+    }
+    let (a, b) = if d.x.abs() > d.y.abs() {
+        let r = r.copysign(d.x);
+        (r, r * 2.0 * FRAC_2_PI * (d.y / d.x).atan())
+    } else {
+        let r = r.copysign(d.y);
+        (r * 2.0 * FRAC_2_PI * (d.x / d.y).atan(), r)
+    };
+    (0.5 * (a + 1.0), 0.5 * (b + 1.0))
+}
+
 /// Unit square to the cosine-weighted hemisphere about +z; density cos(theta) / pi.
 pub fn cosine_hemisphere(u: f64, v: f64) -> DVec3 {
     let d = concentric_disc(u, v);

@@ -80,6 +80,9 @@ pub struct RenderArgs {
     /// Rays over the lobe at the first glossy surface, a sample.
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = count)]
     pub lobe_rays: u32,
+    /// Directions a hemisphere, about (method directional).
+    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
+    pub directions: u32,
     /// Exposure of PNG and JPEG [EV].
     #[arg(long, value_name = "EV", default_value_t = 0.0, allow_negative_numbers = true)]
     pub exposure: f64,
@@ -150,6 +153,8 @@ pub enum MethodArg {
     Whitted,
     /// Unbiased path tracing.
     Path,
+    /// Directional radiosity (Immel, Cohen and Greenberg 1986): view-independent, small scenes only.
+    Directional,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]

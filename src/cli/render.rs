@@ -7,7 +7,7 @@ use crate::embree::Device;
 use crate::emitters::Emitters;
 use crate::image::{self, WriteOptions};
 use crate::pipeline::{self, Pass1, Stage};
-use crate::render::{Estimator, Method, Quality, Settings, render};
+use crate::render::{Estimator, Method, Quality, Settings, render, render_directional};
 use crate::report::{Pass1Report, Report, Versions, command_line};
 use crate::scene::{Scene, load};
 use crate::visibility::Visibility;
@@ -35,24 +35,41 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         pipeline::stage("build", 0, observer, &mut stages, || (Visibility::new(&device, &scene), 0))?;
     let emitters = Emitters::new(&scene);
     pipeline::require_light(&scene, &emitters)?;
-    let needs_pass1 = matches!(settings.method, Method::TwoPass(_) | Method::Radiosity);
     let pass1_settings = pass1(&args.pass1, &scene, args.common.seed);
-    let pass1 = if needs_pass1 {
-        let cameras = std::slice::from_ref(&camera);
-        let result =
-            pipeline::solve(&visibility, &emitters, cameras, &pass1_settings, observer, &mut stages)?;
-        result.warnings.iter().for_each(|w| progress.warn(w));
-        warnings.extend(result.warnings.iter().cloned());
-        Some(result)
-    } else {
-        None
-    };
+    let cameras = std::slice::from_ref(&camera);
     let pixels = u64::from(camera.size[0]) * u64::from(camera.size[1]);
-    let solution = pass1.as_ref().map(|p| &p.solution);
-    let picture = pipeline::stage("trace", pixels, observer, &mut stages, || {
-        let advance = |n| progress.tell(pipeline::Event::Advance(n));
-        render(&visibility, &emitters, solution, &camera, &settings, &advance)
-    });
+    let advance = |n| progress.tell(pipeline::Event::Advance(n));
+    let mut pass1 = None;
+    let (picture, elements) = if args.method == MethodArg::Directional {
+        let what = (&pass1_settings, args.directions);
+        let solution =
+            pipeline::solve_directional(&visibility, &emitters, cameras, what, observer, &mut stages)?;
+        progress.line(&format!(
+            "{} elements, {} directional values, {:.1} MiB, {} iterations",
+            solution.elements(),
+            solution.directional_values(),
+            solution.bytes / f64::from(1 << 20),
+            solution.iterations
+        ));
+        let picture = pipeline::stage("trace", pixels, observer, &mut stages, || {
+            let samples = (settings.spp, settings.seed);
+            render_directional(&visibility, &emitters, &solution, &camera, samples, &advance)
+        });
+        (picture, solution.elements())
+    } else {
+        if matches!(settings.method, Method::TwoPass(_) | Method::Radiosity) {
+            let result =
+                pipeline::solve(&visibility, &emitters, cameras, &pass1_settings, observer, &mut stages)?;
+            result.warnings.iter().for_each(|w| progress.warn(w));
+            warnings.extend(result.warnings.iter().cloned());
+            pass1 = Some(result);
+        }
+        let solution = pass1.as_ref().map(|p| &p.solution);
+        let picture = pipeline::stage("trace", pixels, observer, &mut stages, || {
+            render(&visibility, &emitters, solution, &camera, &settings, &advance)
+        });
+        (picture, solution.map_or(0, |s| s.mesh.len()))
+    };
 
     let versions = Versions::new(&device);
     let options = WriteOptions { exposure: args.exposure, metadata: metadata(args, &versions, &settings) };
@@ -60,9 +77,9 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         (args.output.iter().try_for_each(|output| image::write(&picture, output, &options)), 0)
     })?;
     let mut report = Report::new(&scene, versions, args.common.seed, stages, warnings);
+    report.elements = elements;
     if let Some(result) = &pass1 {
         let pass1 = Pass1Report::new(&pass1_settings, result);
-        report.elements = pass1.elements;
         progress.line(&format!(
             "{} elements of at most {:.4} m, standard error {:.2} %, energy residual {:.2} %",
             pass1.elements,
@@ -98,7 +115,8 @@ fn settings(args: &RenderArgs, scene: &Scene) -> Settings {
         _ => Quality::Gather,
     };
     let method = match args.method {
-        MethodArg::TwoPass => Method::TwoPass(quality),
+        // Directional radiosity has no settings of pass 2 but its samples.
+        MethodArg::TwoPass | MethodArg::Directional => Method::TwoPass(quality),
         MethodArg::Radiosity => Method::Radiosity,
         MethodArg::Whitted => Method::Whitted,
         MethodArg::Path => Method::Path,

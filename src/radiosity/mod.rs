@@ -2,6 +2,7 @@
 
 mod caustic;
 mod direct;
+mod directional;
 mod file;
 mod ledger;
 mod reconstruct;
@@ -9,6 +10,7 @@ mod solve;
 
 pub use caustic::{Caustic, CausticMap, trace_particles};
 pub use direct::sample_emitters;
+pub use directional::{Directional, solve_directional};
 pub use ledger::Ledger;
 pub use reconstruct::Field;
 pub use solve::{Convergence, solve_reflected};

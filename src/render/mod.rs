@@ -8,10 +8,11 @@ mod view;
 use crate::color::Rgb;
 use crate::emitters::Emitters;
 use crate::image::Image;
-use crate::radiosity::Solution;
+use crate::radiosity::{Directional, Solution};
 use crate::sampling::{seed_of, sobol};
 use crate::scene::{Camera, Scene};
 use crate::visibility::Visibility;
+use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 use std::cell::Cell;
 
@@ -134,35 +135,75 @@ pub fn render(
     progress: &(dyn Fn(u64) + Sync),
 ) -> (Image, u64) {
     let scene = visibility.scene();
+    film(scene, camera, (settings.spp, settings.seed), progress, |origin, direction, sampler| {
+        let context =
+            Context { scene, visibility, emitters, solution, settings: *settings, rays: Cell::new(0) };
+        let radiance = match settings.method {
+            Method::Path => context.path(origin, direction, sampler),
+            _ => context.view(origin, direction, sampler),
+        };
+        (radiance, context.rays.get())
+    })
+}
+
+/// Renders directional radiosity ([`Directional`]): every surface shows what was solved for, emitters their emission.
+///
+/// Like [`render`], with `spp` samples a pixel.
+pub fn render_directional(
+    visibility: &Visibility,
+    emitters: &Emitters,
+    solution: &Directional,
+    camera: &Camera,
+    (spp, seed): (u32, u32),
+    progress: &(dyn Fn(u64) + Sync),
+) -> (Image, u64) {
+    let scene = visibility.scene();
+    film(scene, camera, (spp, seed), progress, |origin, direction, sampler| {
+        let Some(hit) = visibility.closest(origin, direction.as_vec3(), u32::MAX) else {
+            return (scene.environment, 1);
+        };
+        let emitted = emitters.at(hit.face, hit.front).map_or(Rgb::ZERO, |(radiance, _)| radiance);
+        let uv = DVec2::new(f64::from(hit.u), f64::from(hit.v));
+        let leaving = solution.leaving(scene, (hit.face, hit.front), uv, -direction, sampler.numbers(1));
+        (emitted + leaving, 1)
+    })
+}
+
+/// Averages samples over pixels, tile by tile on all cores. `sample` gives the radiance along a camera ray and the
+/// number of rays that it took.
+fn film(
+    scene: &Scene,
+    camera: &Camera,
+    (spp, seed): (u32, u32),
+    progress: &(dyn Fn(u64) + Sync),
+    sample: impl Fn(Vec3, DVec3, Sampler) -> (Rgb, u64) + Sync,
+) -> (Image, u64) {
     let frame = camera.frame(scene);
     let [width, height] = camera.size;
     let columns = width.div_ceil(TILE);
     let tiles: Vec<(Vec<[f32; 3]>, u64)> = (0..columns * height.div_ceil(TILE))
         .into_par_iter()
         .map(|tile| {
-            let context =
-                Context { scene, visibility, emitters, solution, settings: *settings, rays: Cell::new(0) };
+            let mut rays = 0;
             let (x0, y0) = (tile % columns * TILE, tile / columns * TILE);
             let mut pixels = Vec::with_capacity((TILE * TILE) as usize);
             for y in y0..(y0 + TILE).min(height) {
                 for x in x0..(x0 + TILE).min(width) {
-                    let seed = seed_of(&[settings.seed, x, y, 0x91e]);
+                    let seed = seed_of(&[seed, x, y, 0x91e]);
                     let mut sum = Rgb::ZERO;
-                    for index in 0..settings.spp {
+                    for index in 0..spp {
                         let sampler = Sampler { seed, index };
                         let u = sampler.numbers(0);
                         let direction = frame.direction(f64::from(x) + u[0], f64::from(y) + u[1]);
-                        let origin = frame.origin().as_vec3();
-                        sum += match settings.method {
-                            Method::Path => context.path(origin, direction, sampler),
-                            _ => context.view(origin, direction, sampler),
-                        };
+                        let (radiance, cast) = sample(frame.origin().as_vec3(), direction, sampler);
+                        sum += radiance;
+                        rays += cast;
                     }
-                    pixels.push((sum / f64::from(settings.spp.max(1))).as_vec3().to_array());
+                    pixels.push((sum / f64::from(spp.max(1))).as_vec3().to_array());
                 }
             }
             progress(pixels.len() as u64);
-            (pixels, context.rays.get())
+            (pixels, rays)
         })
         .collect();
     let mut image = Image::new(width as usize, height as usize);
