@@ -10,5 +10,5 @@ mod table;
 pub use matrix::{ExchangeMatrix, RowSummary};
 pub use raycast::{Casting, EmitterIrradiance, EmitterWork, cast};
 pub use source::time_embree;
-pub use specular::{ChainEnd, Chains, Link, pass_on};
+pub use specular::{Carried, ChainEnd, Chains, Link, pass_on};
 pub use table::ObjectTable;

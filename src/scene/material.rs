@@ -16,10 +16,13 @@ pub struct Material {
     pub specular: Rgb,
     /// Perceptual roughness, [0, 1]; 0 is a perfect mirror.
     pub roughness: f64,
-    /// Specular transmittance of smooth glass, [0, 1]; zero: opaque.
+    /// Specular transmittance of glass, [0, 1]: what each crossing of the surface leaves of the
+    /// refracted light; zero: opaque.
     pub specular_transmission: Rgb,
     /// Index of refraction inside, relative to outside.
     pub ior: f64,
+    /// The surface is a sheet of glass with both its faces: light goes straight on.
+    pub thin: bool,
     /// Emitted radiance [W m^-2 sr^-1], from the front.
     pub emission: Rgb,
     /// Emit from the back too.
@@ -39,6 +42,7 @@ impl Material {
             roughness: 0.0,
             specular_transmission: Rgb::ZERO,
             ior: 1.5,
+            thin: false,
             emission: Rgb::ZERO,
             emit_both_sides: false,
             two_sided: true,
@@ -102,7 +106,9 @@ impl Material {
 
     /// Whether chains through this material keep one weight for all channels.
     pub fn has_grey_specular(&self) -> bool {
-        color::is_grey(self.specular) && color::is_grey(self.specular_transmission)
+        let grey = color::is_grey(self.specular) && color::is_grey(self.specular_transmission);
+        // Glass reflects what the diffuse part leaves.
+        grey && (!self.is_glass() || color::is_grey(self.diffuse + self.diffuse_transmission))
     }
 }
 
