@@ -2,11 +2,13 @@
 
 mod file;
 mod matrix;
+mod mirror;
 mod raycast;
 mod source;
 mod specular;
 mod table;
 
+pub use mirror::cast_images;
 pub use matrix::{ExchangeMatrix, RowSummary};
 pub use raycast::{Casting, EmitterIrradiance, EmitterWork, cast};
 pub use source::time_embree;
