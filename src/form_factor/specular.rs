@@ -15,9 +15,9 @@ const LONGEST: u32 = 1024;
 /// Chains weaker than this play Russian roulette.
 const WEAK: f64 = 0.1;
 /// Chains longer than this play Russian roulette, whatever they carry.
-const LONG: u32 = 64;
+const LONG: u32 = 128;
 /// Chance that such a chain goes on.
-const GOES_ON: f64 = 0.97;
+const GOES_ON: f64 = 0.99;
 
 /// What a chain carries.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -11,9 +11,12 @@ use glam::{DVec3, Vec3};
 const WEAK: f64 = 0.05;
 /// Branches over more surfaces than this play Russian roulette, whatever they weigh: between facing perfect mirrors
 /// nothing else ends them.
-const DEEP: u32 = 32;
-/// Chance that such a branch goes on.
-const GOES_ON: f64 = 0.9;
+const DEEP: u32 = 64;
+/// Chance that such a branch goes on: light caught in glass leaves slowly, and a smaller chance would leave its sum to
+/// few branches of great weight.
+const GOES_ON: f64 = 0.98;
+/// Surfaces on one branch at most, for the sake of the stack; of what two facing mirrors of albedo 0.99 show, 0.6 % lies beyond.
+const DEEPEST: u32 = 512;
 /// Behind a lobe this wide, interpolated radiosity is as good as fresh samples.
 const WIDE: f64 = 0.02;
 
@@ -85,7 +88,7 @@ impl Context<'_, '_> {
     fn specular(&self, surface: &Specular, at: &SurfacePoint, sight: &Sight, sampler: Sampler) -> Rgb {
         let mut scale = 1.0;
         if sight.depth >= DEEP {
-            if sampler.numbers(6)[0] >= GOES_ON {
+            if sight.depth >= DEEPEST || sampler.numbers(6)[0] >= GOES_ON {
                 return Rgb::ZERO;
             }
             scale = 1.0 / GOES_ON;
