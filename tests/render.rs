@@ -225,15 +225,25 @@ fn uniform_light_on_every_material() {
     for roughness in [0.05, 0.2, 0.5, 1.0] {
         cases.push(("glossy plane", false, format!("{mirror}{roughness:?}"), Some(kept(0.6, roughness))));
     }
-    cases.push(("rough thin window", false, format!("{glass}roughness = 0.5\nthin = true"), Some(kept(0.6, 0.5))));
+    cases.push((
+        "rough thin window",
+        false,
+        format!("{glass}roughness = 0.5\nthin = true"),
+        Some(kept(0.6, 0.5)),
+    ));
     for (name, is_ball, entries, exact) in cases {
         let mut files = Files::default();
         files.material("m", &entries).toml("[environment]\nradiance = 1.0");
-        if is_ball { ball(&mut files, "m") } else { plane(&mut files, "m") }
+        if is_ball {
+            ball(&mut files, "m")
+        } else {
+            plane(&mut files, "m")
+        }
         // Planes are seen at the cosine 0.6, bodies from several sides.
         for (k, origin) in [[0.0, 2.0, 1.5], [1.0, 0.3, -0.75], [-0.2, -1.1, 0.84]].into_iter().enumerate() {
             let length = f64::hypot(origin[0], origin[1]);
-            let origin = if is_ball { origin } else { [origin[0], origin[1], 0.75 * length * origin[2].signum()] };
+            let origin =
+                if is_ball { origin } else { [origin[0], origin[1], 0.75 * length * origin[2].signum()] };
             let fov = if is_ball { 10.0 } else { 0.01 };
             files.toml(&camera(&format!("c{k}"), origin, [0.0; 3], [0.1, 0.2, 1.0], fov, 4));
         }
@@ -258,7 +268,9 @@ fn uniform_light_on_every_material() {
             eprintln!("{name} {view}: {}", said.join(", "));
             for (m, e) in &found {
                 match exact {
-                    Some(exact) => assert!((m - exact).abs() <= T15 * e + 1e-4 * exact, "{name}: {m} {exact}"),
+                    Some(exact) => {
+                        assert!((m - exact).abs() <= T15 * e + 1e-4 * exact, "{name}: {m} {exact}")
+                    }
                     None => {
                         let (path, error) = found[0];
                         assert!(*m <= 1.0 + T15 * e + 1e-5 && *m > 0.5, "{name}: {m}");
@@ -274,7 +286,9 @@ fn uniform_light_on_every_material() {
 /// visible normals times the masking of the way out, by the midpoint rule in the slope and the turn (error below 1e-5).
 fn kept(cos: f64, roughness: f64) -> f64 {
     let alpha = roughness * roughness;
-    let g1 = |c: f64| if c > 0.0 { 2.0 / (1.0 + (1.0 + alpha * alpha * (1.0 / (c * c) - 1.0)).sqrt()) } else { 0.0 };
+    let g1 = |c: f64| {
+        if c > 0.0 { 2.0 / (1.0 + (1.0 + alpha * alpha * (1.0 / (c * c) - 1.0)).sqrt()) } else { 0.0 }
+    };
     let sin = (1.0 - cos * cos).sqrt();
     let n = 1000;
     let mut sum = 0.0;

@@ -146,9 +146,8 @@ impl<'m> Specular<'m> {
             let ahead = self.scatter(-self.wo, self.material.specular_transmission, true, self.normal);
             return [None, through.then_some(ahead)];
         }
-        let right = |s: &Option<Scatter>| {
-            s.is_none_or(|s| (s.direction.dot(self.geometric) > 0.0) != s.transmitted)
-        };
+        let right =
+            |s: &Option<Scatter>| s.is_none_or(|s| (s.direction.dot(self.geometric) > 0.0) != s.transmitted);
         let lobes = self.perfect_about(self.normal);
         if lobes.iter().all(right) { lobes } else { self.perfect_about(self.geometric) }
     }

@@ -47,8 +47,8 @@ impl Copy {
 
     /// One more reflection, in the plane `normal . p = offset` of the scene.
     fn reflected(&self, normal: DVec3, offset: f64) -> Copy {
-        let flip = DMat3::IDENTITY
-            - 2.0 * DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
+        let flip =
+            DMat3::IDENTITY - 2.0 * DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
         Copy { turn: flip * self.turn, shift: flip * self.shift + 2.0 * offset * normal }
     }
 }

@@ -8,8 +8,8 @@ mod source;
 mod specular;
 mod table;
 
-pub use mirror::cast_images;
 pub use matrix::{ExchangeMatrix, RowSummary};
+pub use mirror::cast_images;
 pub use raycast::{Casting, EmitterIrradiance, EmitterWork, cast};
 pub use source::time_embree;
 pub use specular::{Carried, ChainEnd, Chains, Link, pass_on};

@@ -16,11 +16,7 @@ const HELD: f64 = 0.99;
 /// at grazing angles, where a pyramid of equal cells would spend most rays on almost nothing (GGX has
 /// long tails). Weights are exact, not normalised: their expected sum is what the lobe scatters within the
 /// frustum. `jitter(cell)` gives two numbers in [0, 1).
-pub(super) fn frustum(
-    surface: &Specular,
-    n: u32,
-    jitter: impl Fn(u32) -> (f64, f64),
-) -> Vec<(DVec3, Rgb)> {
+pub(super) fn frustum(surface: &Specular, n: u32, jitter: impl Fn(u32) -> (f64, f64)) -> Vec<(DVec3, Rgb)> {
     let (_, wo) = surface.local();
     let alpha = surface.alpha();
     let mut cells = Vec::with_capacity((n * n) as usize);

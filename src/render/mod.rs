@@ -10,7 +10,7 @@ use crate::emitters::Emitters;
 use crate::image::Image;
 use crate::radiosity::Solution;
 use crate::sampling::{seed_of, sobol};
-use crate::scene::{Camera, Scene};
+use crate::scene::{Camera, CameraFrame, Scene};
 use crate::visibility::Visibility;
 use rayon::prelude::*;
 use std::cell::Cell;
@@ -119,6 +119,24 @@ impl Sampler {
 }
 
 const TILE: u32 = 16;
+/// Samples of a pixel that sees a mirror or glass, for each one asked for, at quality gather. What is seen there (the image
+/// of a lamp in a facet, say) is as fine as the pixel or finer, and needs samples of the pixel more than hemisphere
+/// rays at each.
+const FINER: u32 = 8;
+/// Rays along one side of a pixel that look for mirrors and glass.
+const PROBES: u32 = 3;
+
+/// Whether a pixel at (x, y) sees a perfect mirror or glass first. The answer depends on no sample of the pixel, so
+/// that samples chosen by it are without bias.
+fn sees_perfect_lobe(visibility: &Visibility, frame: &CameraFrame, x: u32, y: u32) -> bool {
+    let scene = visibility.scene();
+    (0..PROBES * PROBES).any(|k| {
+        let at = |k: u32| (f64::from(k) + 0.5) / f64::from(PROBES);
+        let direction = frame.direction(f64::from(x) + at(k % PROBES), f64::from(y) + at(k / PROBES));
+        let hit = visibility.closest(frame.origin().as_vec3(), direction.as_vec3(), u32::MAX);
+        hit.is_some_and(|h| scene.material(&scene.faces[h.face as usize]).has_perfect_lobe())
+    })
+}
 
 /// Renders an image: mean radiance over each pixel's area [W m^-2 sr^-1], row 0 at the top.
 ///
@@ -137,18 +155,43 @@ pub fn render(
     let frame = camera.frame(scene);
     let [width, height] = camera.size;
     let columns = width.div_ceil(TILE);
+    // As many hemisphere rays a pixel in all.
+    let finer = Settings {
+        spp: settings.spp.saturating_mul(FINER),
+        gather_rays: settings.gather_rays.div_ceil(FINER),
+        emitter_samples: settings.emitter_samples.div_ceil(FINER),
+        estimator: match settings.estimator {
+            Estimator::Lobe(n) => Estimator::Lobe(n.div_ceil(FINER)),
+            frustum => frustum,
+        },
+        ..*settings
+    };
+    let gathers = settings.method == Method::TwoPass(Quality::Gather);
+    let looks = gathers && scene.faces.iter().any(|f| scene.material(f).has_perfect_lobe());
     let tiles: Vec<(Vec<[f32; 3]>, u64)> = (0..columns * height.div_ceil(TILE))
         .into_par_iter()
         .map(|tile| {
-            let context =
-                Context { scene, visibility, emitters, solution, settings: *settings, rays: Cell::new(0) };
+            let [context, fine] = [*settings, finer].map(|settings| Context {
+                scene,
+                visibility,
+                emitters,
+                solution,
+                settings,
+                rays: Cell::new(0),
+            });
             let (x0, y0) = (tile % columns * TILE, tile / columns * TILE);
             let mut pixels = Vec::with_capacity((TILE * TILE) as usize);
             for y in y0..(y0 + TILE).min(height) {
                 for x in x0..(x0 + TILE).min(width) {
                     let seed = seed_of(&[settings.seed, x, y, 0x91e]);
                     let mut sum = Rgb::ZERO;
-                    for index in 0..settings.spp {
+                    if looks {
+                        context.cast(PROBES * PROBES);
+                    }
+                    let finely = looks && sees_perfect_lobe(visibility, &frame, x, y);
+                    let context = if finely { &fine } else { &context };
+                    let spp = context.settings.spp;
+                    for index in 0..spp {
                         let sampler = Sampler { seed, index };
                         let u = sampler.numbers(0);
                         let direction = frame.direction(f64::from(x) + u[0], f64::from(y) + u[1]);
@@ -158,11 +201,11 @@ pub fn render(
                             _ => context.view(origin, direction, sampler),
                         };
                     }
-                    pixels.push((sum / f64::from(settings.spp.max(1))).as_vec3().to_array());
+                    pixels.push((sum / f64::from(spp.max(1))).as_vec3().to_array());
                 }
             }
             progress(pixels.len() as u64);
-            (pixels, context.rays.get())
+            (pixels, context.rays.get() + fine.rays.get())
         })
         .collect();
     let mut image = Image::new(width as usize, height as usize);

@@ -95,8 +95,7 @@ impl Context<'_, '_> {
         }
         let perfect = surface.perfect();
         let lobes = perfect.iter().zip([3, 2]).filter_map(|(s, branch)| Some((s.as_ref()?, branch)));
-        let mut sum: Rgb =
-            lobes.map(|(s, branch)| self.follow(at, s, sight, sampler.branch(branch))).sum();
+        let mut sum: Rgb = lobes.map(|(s, branch)| self.follow(at, s, sight, sampler.branch(branch))).sum();
         if surface.is_glossy() {
             sum += match self.settings.estimator {
                 // Grids within grids would cost n^4 rays: behind the first glossy surface one ray samples the lobe.
@@ -136,14 +135,7 @@ impl Context<'_, '_> {
     }
 
     /// The paper's estimator of a glossy lobe: a grid over nearly all of it, and one ray for the rest.
-    fn frustum(
-        &self,
-        surface: &Specular,
-        at: &SurfacePoint,
-        n: u32,
-        sight: &Sight,
-        sampler: Sampler,
-    ) -> Rgb {
+    fn frustum(&self, surface: &Specular, at: &SurfacePoint, n: u32, sight: &Sight, sampler: Sampler) -> Rgb {
         let (frame, _) = surface.local();
         let cells = lobe::frustum(surface, n, |cell| {
             let u = sampler.branch(4 + 16 * cell).numbers(3);

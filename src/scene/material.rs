@@ -16,8 +16,9 @@ pub struct Material {
     pub specular: Rgb,
     /// Perceptual roughness, [0, 1]; 0 is a perfect mirror.
     pub roughness: f64,
-    /// Specular transmittance of glass, [0, 1]: what each crossing of the surface leaves of the
-    /// refracted light; zero: opaque.
+    /// Specular transmittance of glass, [0, 1]; zero: opaque. What each crossing of the surface leaves of the
+    /// refracted light, as MTL's `Tf` is read by other renderers too (a tint of the interface): a body of glass, crossed
+    /// twice, shows its square, whatever its thickness. Beer's law, by length, would need a unit that MTL does not have.
     pub specular_transmission: Rgb,
     /// Index of refraction inside, relative to outside.
     pub ior: f64,
@@ -87,6 +88,12 @@ impl Material {
     /// Reflects or refracts specularly, so chains go on at it.
     pub fn is_specular(&self) -> bool {
         self.specular != Rgb::ZERO || self.is_glass()
+    }
+
+    /// Reflects or refracts in one direction only, as a mirror, clear glass or a thin window does.
+    pub fn has_perfect_lobe(&self) -> bool {
+        let smooth = self.alpha() < crate::bsdf::MIRROR_ALPHA;
+        self.is_specular() && (smooth || (self.is_glass() && self.ior == 1.0))
     }
 
     /// Refracts.
