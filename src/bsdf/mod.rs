@@ -253,7 +253,7 @@ impl<'m> Specular<'m> {
     }
 
     /// The normal of the facets that lead light from the local direction `wi` to `wo`, if any does.
-    pub fn facet_normal(&self, wo: DVec3, wi: DVec3) -> Option<DVec3> {
+    fn facet_normal(&self, wo: DVec3, wi: DVec3) -> Option<DVec3> {
         let h = if wi.z > 0.0 {
             wo + wi
         } else if self.material.thin {

@@ -134,7 +134,7 @@ impl Context<'_, '_> {
         scale * self.see(&next, sampler)
     }
 
-    /// The paper's estimator of a glossy lobe: a grid over nearly all of it, and one ray for the rest.
+    /// The paper's estimator of a glossy lobe: a grid over nearly all of it, and a ray for the rest.
     fn frustum(&self, surface: &Specular, at: &SurfacePoint, n: u32, sight: &Sight, sampler: Sampler) -> Rgb {
         let (frame, _) = surface.local();
         let cells = lobe::frustum(surface, n, |cell| {
@@ -146,13 +146,6 @@ impl Context<'_, '_> {
             let direction = frame.to_scene(*direction);
             if let Some(next) = self.glossy(at, direction, surface, sight, None) {
                 sum += *weight * self.see(&next, sampler.branch(5 + 16 * k as u32));
-            }
-        }
-        let u = sampler.numbers(4);
-        let rest = surface.sample_glossy([u[0], u[1], u[2]]).filter(|s| lobe::beyond(surface, s));
-        if let Some(s) = rest {
-            if let Some(next) = self.glossy(at, s.direction, surface, sight, None) {
-                sum += s.weight * self.see(&next, sampler.branch(7));
             }
         }
         sum
