@@ -67,7 +67,7 @@ fn oracle_extended_factors() {
         files.polygon("mirror", "mirror", &polygon(&e["mirror"]["poly"]));
         let scene = files.load();
         for mirror in [Mirror::Chain, Mirror::Image] {
-            let t = table(&scene, mirror, 65_536).expect("factors");
+            let t = table(&scene, mirror, 1 << 19).expect("factors");
             for (i, row) in e["F_extended"].as_array().expect("rows").iter().enumerate() {
                 for (j, exact) in numbers(row).into_iter().enumerate() {
                     let (a, b) = (number(&t, &format!("p{i}")), number(&t, &format!("p{j}")));
