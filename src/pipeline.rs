@@ -135,7 +135,7 @@ pub fn solve(
     // As many as the matrix will have: long rows need several sequences.
     let batches = BATCHES.max(settings.rays.div_ceil(MAX_POINTS)).min(settings.rays.max(1));
     let samples = (settings.rays / 4).div_ceil(batches).max(16);
-    // Particles cost half of what the rows' rays cost, where they can bring anything.
+    // Particles cost no more than the rows' rays, where they can bring anything.
     let particles = if specular { particles_per_batch(mesh.len(), settings.rays, batches) } else { 0 };
     let (matrix, light) = stage("form-factors", mesh.len() as u64, observer, stages, || {
         let work = EmitterWork { samples: batches * samples, particles: batches * particles };
@@ -230,9 +230,10 @@ fn reached_mesh(
     Ok((reached, mesh))
 }
 
-/// Particles of one randomisation, for specular chains: half as many in all as the rows have rays.
+/// Particles of one randomisation, for specular chains: twice as many in all as the rows have rays. Most end at once, at a
+/// surface that is not specular.
 fn particles_per_batch(elements: usize, rays: u32, batches: u32) -> u32 {
-    let all = elements as f64 * f64::from(rays) * 0.5;
+    let all = elements as f64 * f64::from(rays) * 2.0;
     (all.clamp(65_536.0, 1e9) / f64::from(batches)) as u32
 }
 

@@ -151,16 +151,29 @@ fn glossy_room(roughness: f64, size: u32) -> Scene {
     files.load()
 }
 
-/// The paper's frustum and importance sampling estimate the same lobe integral: within four standard
-/// errors of their difference over 16 seeds, with one known exception. The frustum leaves out 1 % of the
-/// lobe and normalises, which costs up to 1 % of the contrast between the rest and what is seen there. At
-/// roughness 0.2 that is 0.13 %, above the noise of 0.009 %: the same with 20 and 40 cells an edge, and
-/// 0.015 % where the frustum holds 99.9 %.
+/// A room seen through a pane of rough glass.
+fn room_behind_rough_glass(roughness: f64, size: u32) -> Scene {
+    let mut files = Files::default();
+    files.diffuse("grey", &[0.5], &[0.0]).diffuse("bright", &[0.3, 0.5, 0.1], &[1.0]);
+    files.material("pane", &format!("diffuse = 0\nspecular_transmission = 1\nroughness = {roughness:?}"));
+    for (name, points) in box_faces([0.0; 3], [1.0; 3], true) {
+        files.polygon(name, if name == "y1" { "bright" } else { "grey" }, &points);
+    }
+    for (name, points) in box_faces([0.05, 0.45, 0.05], [0.9, 0.05, 0.9], false) {
+        files.polygon(name, "pane", &points);
+    }
+    files.toml(&camera("c", [0.5, 0.1, 0.6], [0.5, 0.7, 0.3], [0.0, 0.0, 1.0], 50.0, size));
+    files.load()
+}
+
+/// The paper's frustum and importance sampling estimate the same lobe integral, for an opaque floor and for rough
+/// glass before it: within four standard errors of their difference over 16 seeds, which are stated.
 #[test]
 fn frustum_agrees_with_lobe_sampling() {
     let mut failures = Vec::new();
-    for roughness in [0.05, 0.2, 0.4, 0.7, 1.0] {
-        let scene = glossy_room(roughness, 16);
+    let rooms = [0.05, 0.2, 0.4, 0.7, 1.0].map(|r| (r, glossy_room(r, 16)));
+    let glass = [0.2, 0.7].map(|r| (r, room_behind_rough_glass(r, 8)));
+    for (roughness, scene) in rooms.into_iter().chain(glass) {
         let run = |estimator| {
             let s = Settings { estimator, ..settings(MESH, 4) };
             pictures(&scene, "c", (512, 0.25), &s)
@@ -170,33 +183,210 @@ fn frustum_agrees_with_lobe_sampling() {
         let differences: Vec<f64> = f.iter().zip(&l).map(|(f, l)| mean(f) / mean(l) - 1.0).collect();
         let (d, e) = mean_error(&differences);
         eprintln!("roughness {roughness}: frustum over lobe {:+.3} % +- {:.3} %", 100.0 * d, 100.0 * e);
-        let truncated = if roughness == 0.2 { 0.01 } else { 0.0 };
-        if d.abs() > T15 * e + truncated {
+        if d.abs() > T15 * e + 1e-5 {
             failures.push(format!("roughness {roughness}: {:+.3} % +- {:.3} %", 100.0 * d, 100.0 * e));
         }
     }
     assert!(failures.is_empty(), "{failures:?}");
 }
 
-/// Under uniform light from everywhere both estimators give the lobe's albedo times its radiance: what the
-/// frustum leaves out makes no difference, so only the tabulated albedo is compared, to 0.1 %.
+/// Every material at full reflectance under uniform light of radiance 1 from all sides: 1 from every direction, by every
+/// method, within four standard errors. Lobes with a width lose what single scattering loses, and no more: a plane's loss is
+/// integrated here from the distribution and its masking alone. A closed body of rough glass loses more with each
+/// passage: there the methods must agree, and none exceed 1.
 #[test]
-fn uniform_light_on_a_glossy_floor() {
-    for roughness in [0.05, 0.2, 0.4, 0.7, 1.0] {
+fn uniform_light_on_every_material() {
+    let ball = |files: &mut Files, name: &str| {
+        for triangle in sphere(0.5, 4, false) {
+            files.polygon(name, name, &triangle);
+        }
+    };
+    let plane = |files: &mut Files, name: &str| {
+        files.polygon(name, name, &[[-9.0, -9.0, 0.0], [9.0, -9.0, 0.0], [9.0, 9.0, 0.0], [-9.0, 9.0, 0.0]]);
+    };
+    let glass = "diffuse = 0\nspecular_transmission = 1\n";
+    let mirror = "diffuse = 0\nspecular = 1\nroughness = ";
+    let mixed = "diffuse = 0.25\ndiffuse_transmission = 0.25\nspecular = 0.5\nroughness = 0";
+    let mut cases = vec![
+        ("mirror ball", true, format!("{mirror}0"), Some(1.0)),
+        ("glass ball", true, format!("{glass}ior = 1.5"), Some(1.0)),
+        ("air in glass", true, format!("{glass}ior = 0.667"), Some(1.0)),
+        ("diamond", true, format!("{glass}ior = 3"), Some(1.0)),
+        ("nothing", true, format!("{glass}ior = 1"), Some(1.0)),
+        ("thin window", false, format!("{glass}thin = true"), Some(1.0)),
+        ("thin bubble", true, format!("{glass}thin = true"), Some(1.0)),
+        ("translucent panel", false, "diffuse = 0.5\ndiffuse_transmission = 0.5".into(), Some(1.0)),
+        ("mixed panel", false, mixed.into(), Some(1.0)),
+        ("coated glass", true, "diffuse = 0\nspecular = 0.3\nspecular_transmission = 0.7".into(), Some(1.0)),
+        // It emits as much again from both sides.
+        ("mixed lamp", false, format!("{mixed}\nemission = 1\nemit_both_sides = true"), Some(2.0)),
+        ("rough glass ball", true, format!("{glass}roughness = 0.4"), None),
+    ];
+    for roughness in [0.05, 0.2, 0.5, 1.0] {
+        cases.push(("glossy plane", false, format!("{mirror}{roughness:?}"), Some(kept(0.6, roughness))));
+    }
+    cases.push((
+        "rough thin window",
+        false,
+        format!("{glass}roughness = 0.5\nthin = true"),
+        Some(kept(0.6, 0.5)),
+    ));
+    for (name, is_ball, entries, exact) in cases {
         let mut files = Files::default();
-        files.material("floor", &format!("diffuse = 0\nspecular = 0.6\nroughness = {roughness:?}"));
-        let points = [[-9.0, -9.0, 0.0], [9.0, -9.0, 0.0], [9.0, 9.0, 0.0], [-9.0, 9.0, 0.0]];
-        files.polygon("floor", "floor", &points).toml("[environment]\nradiance = 1.0");
-        files.toml(&camera("c", [0.5, 0.1, 0.6], [0.5, 0.7, 0.0], [0.0, 0.0, 1.0], 50.0, 16));
+        files.material("m", &entries).toml("[environment]\nradiance = 1.0");
+        if is_ball {
+            ball(&mut files, "m")
+        } else {
+            plane(&mut files, "m")
+        }
+        // Planes are seen at the cosine 0.6, bodies from several sides.
+        for (k, origin) in [[0.0, 2.0, 1.5], [1.0, 0.3, -0.75], [-0.2, -1.1, 0.84]].into_iter().enumerate() {
+            let length = f64::hypot(origin[0], origin[1]);
+            let origin =
+                if is_ball { origin } else { [origin[0], origin[1], 0.75 * length * origin[2].signum()] };
+            let fov = if is_ball { 10.0 } else { 0.01 };
+            files.toml(&camera(&format!("c{k}"), origin, [0.0; 3], [0.1, 0.2, 1.0], fov, 4));
+        }
         let scene = files.load();
-        let run = |estimator| {
-            let s = Settings { estimator, ..settings(Method::Whitted, 4) };
-            mean_error(&means(&pictures(&scene, "c", (0, 0.0), &s)))
+        // All of a plane looks alike.
+        let views: &[&str] = if name == "glass ball" { &["c0", "c1", "c2"] } else { &["c1"] };
+        let frustum = Settings { estimator: Estimator::Frustum(6), ..settings(MESH, 2) };
+        let mut methods = vec![settings(Method::Path, 16), settings(MESH, 2)];
+        if name.contains("plane") || name == "rough thin window" {
+            methods.push(frustum);
+        }
+        if scene.materials[0].is_diffuse() {
+            methods.push(settings(GATHER, 4));
+        }
+        for view in views {
+            let mut found: Vec<(f64, f64)> = Vec::new();
+            for s in &methods {
+                // A single plane under this light has the same light everywhere: few elements do.
+                found.push(mean_error(&means(&pictures(&scene, view, (64, 9.0), s))));
+            }
+            let said: Vec<String> = found.iter().map(|(m, e)| format!("{m:.5} +- {e:.5}")).collect();
+            eprintln!("{name} {view}: {}", said.join(", "));
+            for (m, e) in &found {
+                match exact {
+                    Some(exact) => {
+                        assert!((m - exact).abs() <= T15 * e + 1e-4 * exact, "{name}: {m} {exact}")
+                    }
+                    None => {
+                        let (path, error) = found[0];
+                        assert!(*m <= 1.0 + T15 * e + 1e-5 && *m > 0.5, "{name}: {m}");
+                        assert!((m - path).abs() <= T15 * e.hypot(error) + 1e-4, "{name}: {m} {path}");
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// What single scattering keeps of the light on a GGX plane of albedo 1 seen at a cosine: the integral over facets of
+/// visible normals times the masking of the way out, by the midpoint rule in the slope and the turn (error below 1e-5).
+fn kept(cos: f64, roughness: f64) -> f64 {
+    let alpha = roughness * roughness;
+    let g1 = |c: f64| {
+        if c > 0.0 { 2.0 / (1.0 + (1.0 + alpha * alpha * (1.0 / (c * c) - 1.0)).sqrt()) } else { 0.0 }
+    };
+    let sin = (1.0 - cos * cos).sqrt();
+    let n = 1000;
+    let mut sum = 0.0;
+    for i in 0..n {
+        // s is the share of D(h) cos(h): facets with a slope below alpha sqrt(s / (1 - s)).
+        let s = (f64::from(i) + 0.5) / f64::from(n);
+        let slope = alpha * (s / (1.0 - s)).sqrt();
+        for j in 0..n {
+            let turn = 2.0 * PI * (f64::from(j) + 0.5) / f64::from(n);
+            let z = 1.0 / (1.0 + slope * slope).sqrt();
+            let towards = (sin * slope * turn.cos() + cos) * z;
+            if towards > 0.0 {
+                sum += towards / z * g1(2.0 * towards * z - cos) / f64::from(n * n);
+            }
+        }
+    }
+    sum * g1(cos) / cos
+}
+
+/// Pass 1 under the same light: diffuse surfaces of full reflectance beside mirrors, glass, a thin window and a translucent
+/// panel have radiosity pi. Chains end by chance but without bias, and no light is dropped.
+#[test]
+fn uniform_light_in_pass_1() {
+    let mut files = Files::default();
+    files.diffuse("white", &[1.0], &[0.0]).toml("[environment]\nradiance = 1.0");
+    files.material("panel", "diffuse = 0.5\ndiffuse_transmission = 0.5");
+    files.material("half mirror", "diffuse = 0.5\nspecular = 0.5\nroughness = 0");
+    files.material("mirror", "diffuse = 0\nspecular = 1\nroughness = 0");
+    files.material("glass", "diffuse = 0\nspecular_transmission = 1");
+    files.material("sheet", "diffuse = 0\nspecular_transmission = 1\nthin = true");
+    let square = |x: f64, z: f64, r: f64| -> Vec<Point> {
+        vec![[x - r, -r, z], [x + r, -r, z], [x + r, r, z], [x - r, r, z]]
+    };
+    let wall = |x: f64, r: f64| -> Vec<Point> { vec![[x, -r, 0.0], [x, r, 0.0], [x, r, r], [x, -r, r]] };
+    files.polygon("floor", "white", &square(0.0, 0.0, 1.0));
+    files.polygon("panel", "panel", &square(0.0, 1.4, 0.4)).polygon("sheet", "sheet", &square(0.1, 1.2, 0.5));
+    files.polygon("mirror", "mirror", &wall(-1.0, 0.9)).polygon("half", "half mirror", &wall(1.0, 0.9));
+    for (name, points) in box_faces([-0.4, -0.3, 0.0], [0.8, 0.5, 0.6], false) {
+        // No bottom: the floor below lies inside the glass.
+        if name != "z0" {
+            files.polygon("block", "glass", &points);
+        }
+    }
+    let scene = files.load();
+    let runs: Vec<_> = (0..SEEDS).map(|seed| solve(&scene, 1024, 0.25, seed).expect("solution")).collect();
+    assert!(runs.iter().all(|r| r.residuals.dropped < 1e-3), "dropped");
+    for name in ["floor", "panel", "half"] {
+        let sides = if name == "panel" { vec![true, false] } else { vec![true] };
+        for front in sides {
+            let samples: Vec<f64> = runs
+                .iter()
+                .map(|r| object_mean(&scene, &r.solution, &r.solution.radiosity, name, front).x / PI)
+                .collect();
+            let mut worst = Worst::default();
+            // Half mirrors reflect the other half in pass 2.
+            worst.check(name, &samples, if name == "half" { 0.5 } else { 1.0 }, 5e-3);
+            eprintln!("{name}: {worst:?}");
+        }
+    }
+}
+
+/// Light through a slab and through a pane whose `Tf` takes a part at each crossing: tint squared, with all
+/// reflections between the faces, F from Fresnel's equations at normal incidence.
+#[test]
+fn tinted_glass_absorbs_at_each_crossing() {
+    let f = 0.04;
+    let tints: [f64; 3] = [0.9, 0.5, 0.2];
+    for thin in [false, true] {
+        let mut files = Files::default();
+        let entries = format!("diffuse = 0\nspecular_transmission = {tints:?}\nior = 1.5\nthin = {thin}");
+        files.material("glass", &entries);
+        files.diffuse("light", &[0.0], &[PI]);
+        let sheet = |z: f64, r: f64, up: bool| -> Vec<Point> {
+            let mut p = vec![[-r, -r, z], [r, -r, z], [r, r, z], [-r, r, z]];
+            if !up {
+                p.reverse();
+            }
+            p
         };
-        let ((f, ef), (l, el)) = (run(Estimator::Frustum(10)), run(Estimator::Lobe(32)));
-        let (off, error) = (f / l - 1.0, ef.hypot(el) / l);
-        eprintln!("uniform light, roughness {roughness}: {:+.4} % +- {:.4} %", 100.0 * off, 100.0 * error);
-        assert!(l <= 0.6 + 1e-6 && off.abs() < 1e-3 + T15 * error, "{f} {l}");
+        files.polygon("a", "glass", &sheet(0.5, 9.0, true));
+        if !thin {
+            files.polygon("b", "glass", &sheet(0.0, 9.0, false));
+        }
+        files.polygon("light", "light", &sheet(-1.0, 30.0, true));
+        files.toml(&camera("c", [0.0, 0.0, 2.0], [0.0; 3], [0.0, 1.0, 0.0], 0.1, 4));
+        let scene = files.load();
+        for method in [Method::Whitted, Method::Path] {
+            let images = pictures(&scene, "c", (0, 0.0), &settings(method, 256));
+            for (c, tint) in tints.iter().enumerate() {
+                // Inside, a face reflects F whatever its tint; a sheet's tint counts a passage.
+                let (t, inner) = if thin { (tint.sqrt(), f * f * tint * tint) } else { (*tint, f * f) };
+                let exact = (1.0 - f) * (1.0 - f) * t * t / (1.0 - inner);
+                let values: Vec<f64> = images.iter().map(|i| f64::from(i.data[c])).collect();
+                let (m, e) = mean_error(&values);
+                eprintln!("tint {tint}, thin {thin}, {method:?}: {m:.5} +- {e:.5}, exact {exact:.5}");
+                assert!((m - exact).abs() <= T15 * e + 1e-4, "{method:?}: {m} {exact}");
+            }
+        }
     }
 }
 
@@ -229,8 +419,10 @@ fn mirror_shows_the_direct_view() {
     };
     let (reflected, straight) = (build(true), build(false));
     for method in [Method::Whitted, Method::Path, MESH, GATHER] {
-        let run = |scene: &Scene| pictures(scene, "c", (64, 1.0), &settings(method, 4));
-        let (a, b) = (run(&reflected), run(&straight));
+        let run = |scene: &Scene, spp| pictures(scene, "c", (64, 1.0), &settings(method, spp));
+        // Gathering takes eight times as many samples of a pixel that sees a mirror.
+        let finer = if method == GATHER { 32 } else { 4 };
+        let (a, b) = (run(&reflected, 4), run(&straight, finer));
         let (mut far, mut noisy) = (0, 0);
         for k in 0..768 {
             let (x, y, c) = (k / 3 % 16, k / 48, k % 3);

@@ -118,6 +118,10 @@ pub struct FormFactorArgs {
     /// How factors are found.
     #[arg(long, value_enum, default_value_t = FactorMethodArg::Ray)]
     pub method: FactorMethodArg,
+    /// What specular surfaces do. With chain or image, factors are extended ones: they count each diffuse surface
+    /// that light meets on its way, and a purely specular surface has no factors of its own.
+    #[arg(long, value_enum, default_value_t = MirrorArg::None)]
+    pub mirror: MirrorArg,
     /// One row and column for each object (`o`/`g` name) instead of each element.
     #[arg(long)]
     pub by_object: bool,
@@ -179,6 +183,17 @@ pub enum EstimatorArg {
 pub enum FactorMethodArg {
     /// Ray-cast hemisphere sampling.
     Ray,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum MirrorArg {
+    /// They block and absorb like any other surface: factors are plain geometry.
+    None,
+    /// Rays go on by reflection, refraction and glossy lobes.
+    Chain,
+    /// Flat mirrors are windows into a mirrored scene, as in the paper: an independent estimate, for flat perfect
+    /// mirrors only.
+    Image,
 }
 
 /// More threads than any machine has; far more would exhaust it.

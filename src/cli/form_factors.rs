@@ -1,11 +1,11 @@
 //! `twopass form-factors`.
 
-use super::args::{FactorMethodArg, FormFactorArgs};
+use super::args::{FactorMethodArg, FormFactorArgs, MirrorArg};
 use super::check_outputs;
 use super::progress::Progress;
 use super::render::pass1;
 use crate::embree::Device;
-use crate::form_factor::{Casting, ObjectTable, cast};
+use crate::form_factor::{Casting, ObjectTable, cast, cast_images};
 use crate::mesh::{Mesh, Sides, default_element_size};
 use crate::output::write_whole;
 use crate::pipeline::{self, Event, Stage};
@@ -50,21 +50,33 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
         pipeline::stage("build", 0, observer, &mut stages, || (Visibility::new(&device, &scene), 0))?;
     let size = settings.element_size.unwrap_or_else(|| default_element_size(&scene));
     let start = Instant::now();
-    let mesh = Mesh::new(&scene, &Sides::fronts(&scene), size, true)?;
+    let sides = if args.mirror == MirrorArg::None {
+        Sides::fronts(&scene)
+    } else {
+        Sides::fronts(&scene).without_purely_specular(&scene)
+    };
+    let mesh = Mesh::new(&scene, &sides, size, true)?;
     let matrix = pipeline::stage("form-factors", mesh.len() as u64, observer, &mut stages, || {
+        let advance = |n| progress.tell(Event::Advance(n));
+        if args.mirror == MirrorArg::Image {
+            let work = (settings.rays, BATCHES);
+            let matrix = cast_images(&visibility, &mesh, work, settings.seed, &advance);
+            let rays = matrix.as_ref().map_or(0, |m| m.rays);
+            return (matrix, rays);
+        }
         let casting = Casting {
             rays: settings.rays,
             batches: BATCHES,
             seed: settings.seed,
-            specular: false,
+            specular: args.mirror == MirrorArg::Chain,
             reached: None,
             emitters: None,
-            progress: &|n| progress.tell(Event::Advance(n)),
+            progress: &advance,
         };
         let (matrix, _) = cast(&visibility, &mesh, &casting);
         let rays = matrix.rays;
-        (matrix, rays)
-    });
+        (Ok(matrix), rays)
+    })?;
     let seconds = start.elapsed().as_secs_f64();
     pipeline::stage("write", 0, observer, &mut stages, || {
         (write(args, to_stdout, &scene, &mesh, &matrix, seconds), 0)

@@ -6,7 +6,7 @@
 
 use super::matrix::{ExchangeMatrix, RowSummary};
 use super::source::{Source, lane};
-use super::specular::{Chains, Link, pass_on};
+use super::specular::{Carried, Chains, Link, pass_on};
 use crate::color::Rgb;
 use crate::embree::RayPacket;
 use crate::emitters::{Emitters, Passage, cosine_density, mis_share};
@@ -408,7 +408,7 @@ impl Shared<'_, '_> {
         let scene = self.visibility.scene();
         let first = direction.as_dvec3();
         let mut absorbed = Rgb::ZERO;
-        let end = self.chains.follow(origin, direction, hit, numbers, |link| {
+        let end = self.chains.follow(Carried::Radiance, (origin, direction, hit), numbers, |link| {
             let j = self.mesh.element(link.hit.face, link.hit.front, link.hit.u, link.hit.v);
             if j != NONE {
                 let k = j as usize * self.channels;

@@ -3,17 +3,30 @@
 //! A chain carries its weight; each diffuse surface on the way is counted with the weight that the
 //! chain had when it arrived (DESIGN section 2). Scenes without specular surfaces never come here.
 
-use crate::bsdf;
+use crate::bsdf::Specular;
 use crate::color::{self, Rgb};
 use crate::emitters::{Emitters, Passage};
-use crate::sampling::sobol;
+use crate::sampling::{seed_of, sobol};
 use crate::visibility::{SurfaceHit, Visibility};
 use glam::{DVec3, Vec3};
 
 /// Surfaces that a chain touches at most; what it still carries is reported as dropped.
-const LONGEST: u32 = 128;
+const LONGEST: u32 = 1024;
 /// Chains weaker than this play Russian roulette.
 const WEAK: f64 = 0.1;
+/// Chains longer than this play Russian roulette, whatever they carry.
+const LONG: u32 = 128;
+/// Chance that such a chain goes on.
+const GOES_ON: f64 = 0.99;
+
+/// What a chain carries.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Carried {
+    /// Radiance, backwards: from where it is seen to where it comes from.
+    Radiance,
+    /// Power, forwards, from an emitter.
+    Power,
+}
 
 /// What became of the weight that no diffuse surface on a chain's way has taken.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -61,9 +74,8 @@ impl<'a, 's> Chains<'a, 's> {
     /// `visit` sees every surface after the first. `point` and `seed` name the random numbers.
     pub fn follow(
         &self,
-        origin: Vec3,
-        direction: Vec3,
-        hit: SurfaceHit,
+        carried: Carried,
+        (origin, direction, hit): (Vec3, Vec3, SurfaceHit),
         (point, seed): (u32, u32),
         mut visit: impl FnMut(&Link),
     ) -> ChainEnd {
@@ -83,20 +95,22 @@ impl<'a, 's> Chains<'a, 's> {
             if black || !material.is_specular() {
                 return end;
             }
-            let u = sobol(point, 1 + k % 60, seed);
+            let u = sobol(point, 1 + k % 60, if k < 60 { seed } else { seed_of(&[seed, k]) });
             let wo = -direction;
-            let Some(s) = bsdf::sample_specular(material, wo, at.facing(wo), at.front, [u[0], u[1], u[2]])
-            else {
-                return end;
-            };
-            // A shading normal may have turned the direction to the wrong side of the face.
+            let specular = Specular::new(material, wo, at.facing(wo), at.geometric, at.front);
+            let Some(s) = specular.sample([u[0], u[1], u[2]]) else { return end };
+            // A shading normal may have turned the direction of a wide lobe to the wrong side of the face.
             if (s.direction.dot(at.geometric) > 0.0) == s.transmitted {
                 return end;
             }
             weight *= s.weight;
+            if carried == Carried::Power {
+                weight *= s.power_factor(wo, at.geometric);
+            }
             let strength = color::mean(weight);
-            if strength < WEAK {
-                let survive = (strength / WEAK).max(1e-3);
+            let survive = if strength < WEAK { strength / WEAK } else { 1.0 };
+            let survive = if k < LONG { survive } else { survive.min(GOES_ON) };
+            if survive < 1.0 {
                 if u[3] >= survive {
                     return end;
                 }

@@ -39,6 +39,17 @@ impl Sides {
         Sides((0..2 * scene.faces.len()).map(|s| s % 2 == 0).collect())
     }
 
+    /// The same but for surfaces that only reflect or refract specularly: they gather and send no diffuse light.
+    pub fn without_purely_specular(mut self, scene: &Scene) -> Sides {
+        for (k, face) in scene.faces.iter().enumerate() {
+            let m = scene.material(face);
+            if m.is_specular() && !m.is_diffuse() && !m.is_emitter() {
+                self.0[2 * k..2 * k + 2].fill(false);
+            }
+        }
+        self
+    }
+
     /// Whether a side takes part.
     #[inline]
     pub fn contains(&self, face: u32, front: bool) -> bool {

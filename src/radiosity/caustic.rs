@@ -10,7 +10,7 @@
 use super::Field;
 use crate::color::Rgb;
 use crate::emitters::{Emitters, Passage, mis_share};
-use crate::form_factor::Chains;
+use crate::form_factor::{Carried, Chains};
 use crate::geometry::Frame;
 use crate::mesh::{Mesh, NONE, Nodes};
 use crate::sampling::{MAX_POINTS, cosine_hemisphere, seed_of, sobol};
@@ -146,7 +146,8 @@ impl Tracer<'_, '_> {
                 continue;
             }
             let power = s.radiance * (PI / (s.density * f64::from(self.total)));
-            let end = chains.follow(origin, direction, hit, (k, seed_of(&[seed, 2])), |link| {
+            let numbers = (k, seed_of(&[seed, 2]));
+            let end = chains.follow(Carried::Power, (origin, direction, hit), numbers, |link| {
                 if link.passage != Passage::Chain {
                     return;
                 }

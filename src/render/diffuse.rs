@@ -4,7 +4,7 @@ use super::{Context, Method, Quality, Sampler};
 use crate::color::Rgb;
 use crate::embree::{Ray, RayPacket, ShadowPacket};
 use crate::emitters::{Passage, connect, cosine_density, mis_share};
-use crate::form_factor::{Chains, Link};
+use crate::form_factor::{Carried, Chains, Link};
 use crate::geometry::Frame;
 use crate::radiosity::Field;
 use crate::sampling::cosine_hemisphere;
@@ -162,9 +162,8 @@ impl Context<'_, '_> {
                 if material.is_specular() && (hit.front || material.two_sided) {
                     let number = sampler.index.wrapping_mul(count).wrapping_add(base + k as u32);
                     let end = chains.follow(
-                        origin,
-                        direction,
-                        hit,
+                        Carried::Radiance,
+                        (origin, direction, hit),
                         (number, sampler.branch(9).seed),
                         |link: &Link| {
                             let Link { hit, weight, passage, length, direction } = *link;

@@ -1,116 +1,101 @@
 //! The paper's estimator of a glossy lobe: a grid of cells about the mirror direction.
 
-use crate::bsdf;
-use crate::geometry::{Frame, reflect};
-use crate::sampling::{self, concentric_disc};
+use crate::bsdf::{Specular, ggx};
+use crate::color::Rgb;
+use crate::sampling::concentric_disc;
 use glam::{DVec2, DVec3};
-use std::f64::consts::PI;
-use std::sync::OnceLock;
+use std::f64::consts::TAU;
 
 /// Share of the lobe that the frustum holds (Wallace, Cohen and Greenberg 1987, section 4.2).
 const HELD: f64 = 0.99;
 
-/// Directions (local frame) and weights of an n x n frustum seen from `wo`: one jittered ray a cell.
+/// Directions (local frame) and weights of an n x n frustum, one jittered ray a cell, and of one ray for
+/// what lies outside it; through glass, as many again for the transmitted lobe.
 ///
-/// The square of cells is wrapped about the mirror direction so that the cells' solid angles follow the lobe of
-/// normal incidence: GGX has long tails, and a pyramid of equal cells that holds 99 % of it would
-/// spend most rays on almost nothing. Weights are lobe times cosine times solid angle, not yet
-/// normalised; zero below the horizon. `jitter(cell)` gives two numbers in [0, 1).
-pub(super) fn frustum(
-    wo: DVec3,
-    alpha: f64,
-    n: u32,
-    jitter: impl Fn(u32) -> (f64, f64),
-) -> Vec<(DVec3, f64)> {
-    let axis = Frame::new(reflect(wo, DVec3::Z));
-    (0..n * n)
-        .map(|cell| {
-            let (j, k) = jitter(cell);
+/// The square of cells is wrapped about the mirror direction, or the refracted one, by the facets that lead there: a
+/// cell holds facets of equal share of the distribution of slopes. So cells follow the lobe's own shape, also
+/// at grazing angles, where a pyramid of equal cells would spend most rays on almost nothing (GGX has
+/// long tails). Weights are exact, not normalised: their expected sum is what the lobe scatters. `jitter(cell)` gives two
+/// numbers in [0, 1) for each cell and, at n x n, for the rest.
+pub(super) fn frustum(surface: &Specular, n: u32, jitter: impl Fn(u32) -> (f64, f64)) -> Vec<(DVec3, Rgb)> {
+    let (_, wo) = surface.local();
+    let alpha = surface.alpha();
+    let mut rays = Vec::with_capacity((n * n) as usize + 1);
+    if wo.z <= 0.0 {
+        return rays;
+    }
+    let visible = ggx::masking(wo, alpha) / wo.z;
+    for cell in 0..=n * n {
+        let (j, k) = jitter(cell);
+        // The share of D(h) cos(h) about the normal that facets of less slope have, and where the facet turns to.
+        let (share, turn, part) = if cell < n * n {
             let u = (f64::from(cell % n) + j) / f64::from(n);
             let v = (f64::from(cell / n) + k) / f64::from(n);
             let disc = concentric_disc(u, v);
-            // Radius squared is the share of the lobe inside; tan^2 of the half angle follows from
-            // GGX's distribution of slopes.
-            let share = HELD * disc.length_squared();
-            let tan2 = alpha * alpha * share / (1.0 - share);
-            let cos_half2 = 1.0 / (1.0 + tan2);
-            let cos = 2.0 * cos_half2 - 1.0;
-            let sin = (1.0 - cos * cos).max(0.0).sqrt();
             let turn = disc.try_normalize().unwrap_or(DVec2::X);
-            let wi = axis.to_scene(DVec3::new(sin * turn.x, sin * turn.y, cos));
-            if wi.z <= 0.0 {
-                return (wi, 0.0);
-            }
-            // d(cos)/d(share), over the share's density 1 on the unit disc of area pi.
-            let t = alpha * alpha;
-            let slope = 2.0 * cos_half2 * cos_half2 * t / ((1.0 - share) * (1.0 - share));
-            let solid_angle = 2.0 * PI * HELD * slope / f64::from(n * n);
-            (wi, bsdf::ggx_reflect(wo, wi, alpha) * solid_angle)
-        })
-        .collect()
-}
-
-const TABLE: usize = 33;
-
-/// Directional albedo of the GGX lobe for a specular albedo of 1: what single scattering keeps.
-///
-/// Interpolated from a table over the cosine and the roughness, made once from 1,024 points an entry.
-pub(super) fn albedo(cos: f64, alpha: f64) -> f64 {
-    static ALBEDO: OnceLock<Vec<f64>> = OnceLock::new();
-    let table = ALBEDO.get_or_init(|| {
-        (0..TABLE * TABLE)
-            .map(|k| {
-                let cos = ((k % TABLE) as f64 / (TABLE - 1) as f64).max(1e-3);
-                let alpha = ((k / TABLE) as f64 / (TABLE - 1) as f64).powi(2).max(1e-4);
-                let wo = DVec3::new((1.0 - cos * cos).max(0.0).sqrt(), 0.0, cos);
-                let sum: f64 = (0..1024)
-                    .map(|i| {
-                        let u = sampling::sobol(i, 0, 1);
-                        bsdf::sample_ggx(wo, alpha, u[0], u[1]).map_or(0.0, |s| s.1)
-                    })
-                    .sum();
-                sum / 1024.0
-            })
-            .collect()
-    });
-    let x = cos.clamp(0.0, 1.0) * (TABLE - 1) as f64;
-    let y = alpha.clamp(0.0, 1.0).sqrt() * (TABLE - 1) as f64;
-    let (i, j) = ((x as usize).min(TABLE - 2), (y as usize).min(TABLE - 2));
-    let (s, t) = (x - i as f64, y - j as f64);
-    let at = |i: usize, j: usize| table[j * TABLE + i];
-    (at(i, j) * (1.0 - s) + at(i + 1, j) * s) * (1.0 - t)
-        + (at(i, j + 1) * (1.0 - s) + at(i + 1, j + 1) * s) * t
+            (HELD * disc.length_squared(), turn, HELD / f64::from(n * n))
+        } else {
+            (HELD + (1.0 - HELD) * j, DVec2::from_angle(TAU * k), 1.0 - HELD)
+        };
+        let slope = alpha * (share / (1.0 - share)).sqrt() * turn;
+        let h = DVec3::new(slope.x, slope.y, 1.0).normalize();
+        let cos = wo.dot(h);
+        if cos <= 0.0 {
+            continue;
+        }
+        let weight = visible * part * cos / h.z;
+        let lobes = surface.of_facet(wo, h).into_iter().filter(|(_, albedo)| *albedo != Rgb::ZERO);
+        rays.extend(lobes.map(|(wi, albedo)| (wi, weight * albedo)));
+    }
+    rays
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::color;
+    use crate::sampling::sobol;
+    use crate::scene::Material;
 
-    /// The frustum's weights add up to the lobe's albedo, less the 1 % left out of it.
+    /// The frustum and the rest make up the lobe, with any weighting over its directions: reflection
+    /// and transmission, roughness 0.05 to 1, down to grazing angles. The moments are those of 65,536 visible normals
+    /// (errors below 1e-3) and of 4,096 grids of 10 x 10; 0.4 % of the albedo is allowed.
     #[test]
-    fn frustum_weights_integrate_the_lobe() {
-        for alpha in [0.01, 0.1, 0.3, 0.6] {
-            for cos in [1.0, 0.7, 0.4] {
-                let wo = DVec3::new((1.0f64 - cos * cos).sqrt(), 0.0, cos);
-                let sum: f64 = frustum(wo, alpha, 200, |c| {
-                    let u = sampling::sobol(c % 65_536, 0, c / 65_536);
-                    (u[0], u[1])
-                })
-                .iter()
-                .map(|c| c.1)
-                .sum();
-                let expected = albedo(cos, alpha);
-                assert!(
-                    sum < expected + 0.01 && sum > 0.93 * expected,
-                    "alpha {alpha} cos {cos}: {sum} {expected}"
-                );
+    fn frustum_and_the_rest_are_the_lobe() {
+        for roughness in [0.05, 0.2, 0.4, 0.7, 1.0] {
+            for (transmission, thin) in [(0.0, false), (1.0, false), (1.0, true)] {
+                let m = Material {
+                    specular: Rgb::splat(1.0 - transmission),
+                    specular_transmission: Rgb::splat(transmission),
+                    thin,
+                    roughness,
+                    ..Material::new("m")
+                };
+                for cos in [1.0, 0.5, 0.1, 0.02] {
+                    let wo = DVec3::new((1.0f64 - cos * cos).sqrt(), 0.0, cos);
+                    let surface = Specular::new(&m, wo, DVec3::Z, DVec3::Z, true);
+                    let (frame, _) = surface.local();
+                    let moments = |wi: DVec3, w: Rgb| color::mean(w) * DVec3::new(1.0, wi.x, wi.z);
+                    let whole: DVec3 = (0..65_536)
+                        .filter_map(|k| {
+                            let u = sobol(k, 0, 7);
+                            surface.sample_glossy([u[0], u[1], u[2]])
+                        })
+                        .map(|s| moments(frame.to_local(s.direction), s.weight) / 65_536.0)
+                        .sum();
+                    let grids: DVec3 = (0..4096)
+                        .flat_map(|k| {
+                            frustum(&surface, 10, |c| {
+                                let u = sobol(k, 0, c);
+                                (u[0], u[1])
+                            })
+                        })
+                        .map(|(wi, w)| moments(wi, w) / 4096.0)
+                        .sum();
+                    let off = (grids - whole).abs().max_element();
+                    assert!(off < 4e-3, "roughness {roughness} {cos} {transmission}: {grids} {whole}");
+                }
             }
         }
-    }
-
-    #[test]
-    fn albedo_of_a_mirror_is_one() {
-        assert!((albedo(0.8, 0.0) - 1.0).abs() < 1e-3);
-        assert!(albedo(0.3, 1.0) < 1.0);
     }
 }

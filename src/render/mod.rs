@@ -10,7 +10,7 @@ use crate::emitters::Emitters;
 use crate::image::Image;
 use crate::radiosity::{Directional, Solution};
 use crate::sampling::{seed_of, sobol};
-use crate::scene::{Camera, Scene};
+use crate::scene::{Camera, CameraFrame, Scene};
 use crate::visibility::Visibility;
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
@@ -120,6 +120,24 @@ impl Sampler {
 }
 
 const TILE: u32 = 16;
+/// Samples of a pixel that sees a mirror or glass, for each one asked for, at quality gather. What is seen there (the image
+/// of a lamp in a facet, say) is as fine as the pixel or finer, and needs samples of the pixel more than hemisphere
+/// rays at each.
+const FINER: u32 = 8;
+/// Rays along one side of a pixel that look for mirrors and glass.
+const PROBES: u32 = 3;
+
+/// Whether a pixel at (x, y) sees a perfect mirror or glass first. The answer depends on no sample of the pixel, so
+/// that samples chosen by it are without bias.
+fn sees_perfect_lobe(visibility: &Visibility, frame: &CameraFrame, x: u32, y: u32) -> bool {
+    let scene = visibility.scene();
+    (0..PROBES * PROBES).any(|k| {
+        let at = |k: u32| (f64::from(k) + 0.5) / f64::from(PROBES);
+        let direction = frame.direction(f64::from(x) + at(k % PROBES), f64::from(y) + at(k / PROBES));
+        let hit = visibility.closest(frame.origin().as_vec3(), direction.as_vec3(), u32::MAX);
+        hit.is_some_and(|h| scene.material(&scene.faces[h.face as usize]).has_perfect_lobe())
+    })
+}
 
 /// Renders an image: mean radiance over each pixel's area [W m^-2 sr^-1], row 0 at the top.
 ///
@@ -135,13 +153,33 @@ pub fn render(
     progress: &(dyn Fn(u64) + Sync),
 ) -> (Image, u64) {
     let scene = visibility.scene();
-    film(scene, camera, (settings.spp, settings.seed), progress, |origin, direction, sampler| {
-        let context =
-            Context { scene, visibility, emitters, solution, settings: *settings, rays: Cell::new(0) };
-        let radiance = match settings.method {
-            Method::Path => context.path(origin, direction, sampler),
-            _ => context.view(origin, direction, sampler),
-        };
+    // As many hemisphere rays a pixel in all.
+    let finer = Settings {
+        spp: settings.spp.saturating_mul(FINER),
+        gather_rays: settings.gather_rays.div_ceil(FINER),
+        emitter_samples: settings.emitter_samples.div_ceil(FINER),
+        estimator: match settings.estimator {
+            Estimator::Lobe(n) => Estimator::Lobe(n.div_ceil(FINER)),
+            frustum => frustum,
+        },
+        ..*settings
+    };
+    let gathers = settings.method == Method::TwoPass(Quality::Gather);
+    let looks = gathers && scene.faces.iter().any(|f| scene.material(f).has_perfect_lobe());
+    film(scene, camera, progress, |frame, x, y| {
+        let finely = looks && sees_perfect_lobe(visibility, frame, x, y);
+        let settings = if finely { finer } else { *settings };
+        let context = Context { scene, visibility, emitters, solution, settings, rays: Cell::new(0) };
+        if looks {
+            context.cast(PROBES * PROBES);
+        }
+        let radiance =
+            pixel(frame, (x, y), (settings.spp, settings.seed), |origin, direction, sampler| match settings
+                .method
+            {
+                Method::Path => context.path(origin, direction, sampler),
+                _ => context.view(origin, direction, sampler),
+            });
         (radiance, context.rays.get())
     })
 }
@@ -158,25 +196,42 @@ pub fn render_directional(
     progress: &(dyn Fn(u64) + Sync),
 ) -> (Image, u64) {
     let scene = visibility.scene();
-    film(scene, camera, (spp, seed), progress, |origin, direction, sampler| {
-        let Some(hit) = visibility.closest(origin, direction.as_vec3(), u32::MAX) else {
-            return (scene.environment, 1);
-        };
-        let emitted = emitters.at(hit.face, hit.front).map_or(Rgb::ZERO, |(radiance, _)| radiance);
-        let uv = DVec2::new(f64::from(hit.u), f64::from(hit.v));
-        let leaving = solution.leaving(scene, (hit.face, hit.front), uv, -direction, sampler.numbers(1));
-        (emitted + leaving, 1)
+    film(scene, camera, progress, |frame, x, y| {
+        let radiance = pixel(frame, (x, y), (spp, seed), |origin, direction, sampler| {
+            let Some(hit) = visibility.closest(origin, direction.as_vec3(), u32::MAX) else {
+                return scene.environment;
+            };
+            let emitted = emitters.at(hit.face, hit.front).map_or(Rgb::ZERO, |(radiance, _)| radiance);
+            let uv = DVec2::new(f64::from(hit.u), f64::from(hit.v));
+            emitted + solution.leaving(scene, (hit.face, hit.front), uv, -direction, sampler.numbers(1))
+        });
+        (radiance, u64::from(spp))
     })
 }
 
-/// Averages samples over pixels, tile by tile on all cores. `sample` gives the radiance along a camera ray and the
-/// number of rays that it took.
+/// Mean over the samples of a pixel of the radiance along their camera rays.
+fn pixel(
+    frame: &CameraFrame,
+    (x, y): (u32, u32),
+    (spp, seed): (u32, u32),
+    sample: impl Fn(Vec3, DVec3, Sampler) -> Rgb,
+) -> Rgb {
+    let seed = seed_of(&[seed, x, y, 0x91e]);
+    let samples = (0..spp).map(|index| {
+        let sampler = Sampler { seed, index };
+        let u = sampler.numbers(0);
+        let direction = frame.direction(f64::from(x) + u[0], f64::from(y) + u[1]);
+        sample(frame.origin().as_vec3(), direction, sampler)
+    });
+    samples.sum::<Rgb>() / f64::from(spp.max(1))
+}
+
+/// All pixels of an image, tile by tile on all cores; `shade` gives a pixel's radiance and the rays that it took.
 fn film(
     scene: &Scene,
     camera: &Camera,
-    (spp, seed): (u32, u32),
     progress: &(dyn Fn(u64) + Sync),
-    sample: impl Fn(Vec3, DVec3, Sampler) -> (Rgb, u64) + Sync,
+    shade: impl Fn(&CameraFrame, u32, u32) -> (Rgb, u64) + Sync,
 ) -> (Image, u64) {
     let frame = camera.frame(scene);
     let [width, height] = camera.size;
@@ -189,17 +244,9 @@ fn film(
             let mut pixels = Vec::with_capacity((TILE * TILE) as usize);
             for y in y0..(y0 + TILE).min(height) {
                 for x in x0..(x0 + TILE).min(width) {
-                    let seed = seed_of(&[seed, x, y, 0x91e]);
-                    let mut sum = Rgb::ZERO;
-                    for index in 0..spp {
-                        let sampler = Sampler { seed, index };
-                        let u = sampler.numbers(0);
-                        let direction = frame.direction(f64::from(x) + u[0], f64::from(y) + u[1]);
-                        let (radiance, cast) = sample(frame.origin().as_vec3(), direction, sampler);
-                        sum += radiance;
-                        rays += cast;
-                    }
-                    pixels.push((sum / f64::from(spp.max(1))).as_vec3().to_array());
+                    let (radiance, cast) = shade(&frame, x, y);
+                    rays += cast;
+                    pixels.push(radiance.as_vec3().to_array());
                 }
             }
             progress(pixels.len() as u64);

@@ -1,15 +1,15 @@
 //! The reference: unbiased path tracing with next-event estimation.
 
 use super::{Context, Sampler};
-use crate::bsdf::{self, MIRROR_ALPHA};
+use crate::bsdf::Specular;
 use crate::color::{self, Rgb};
 use crate::emitters::{Passage, connect, cosine_density, mis_share};
+use crate::form_factor::pass_on;
 use crate::geometry::Frame;
 use crate::sampling::cosine_hemisphere;
 use crate::scene::Material;
 use crate::visibility::SurfacePoint;
 use glam::{DVec3, Vec3};
-use std::f64::consts::PI;
 
 /// Paths longer than this play Russian roulette.
 const SURE: u32 = 4;
@@ -19,57 +19,48 @@ const LONGEST: u32 = 10_000;
 /// Shares of the ways on from a surface, and its lobes without the perfect ones.
 struct Surface<'m> {
     material: &'m Material,
-    frame: Frame,
-    wo: DVec3,
-    /// Probabilities of diffuse reflection, diffuse transmission and the specular branch.
+    specular: Specular<'m>,
+    normal: DVec3,
+    /// Probabilities of diffuse reflection, diffuse transmission and the specular lobes.
     choice: [f64; 3],
+    /// Probability of a specular lobe that has a width.
+    glossy: f64,
 }
 
 impl<'m> Surface<'m> {
-    fn new(material: &'m Material, normal: DVec3, wo: DVec3) -> Option<Surface<'m>> {
-        let specular = if material.is_glass() { Rgb::ONE } else { material.specular };
+    fn new(material: &'m Material, at: &SurfacePoint, wo: DVec3) -> Option<Surface<'m>> {
+        let specular = if material.is_specular() { pass_on(material) } else { Rgb::ZERO };
         let weights = [material.diffuse, material.diffuse_transmission, specular].map(color::mean);
         let total: f64 = weights.iter().sum();
-        (total > 0.0).then(|| Surface {
-            material,
-            frame: Frame::new(normal),
-            wo,
-            choice: weights.map(|w| w / total),
-        })
+        let normal = at.facing(wo);
+        let specular = Specular::new(material, wo, normal, at.geometric, at.front);
+        let choice = weights.map(|w| w / total);
+        let glossy = if material.is_specular() { choice[2] * specular.chance_of_glossy() } else { 0.0 };
+        (total > 0.0).then_some(Surface { material, specular, normal, choice, glossy })
     }
 
-    fn is_glossy(&self) -> bool {
-        self.material.specular != Rgb::ZERO
-            && !self.material.is_glass()
-            && self.material.alpha() >= MIRROR_ALPHA
+    /// Light comes through the surface in directions that emitter samples can find.
+    fn scatters_through(&self) -> bool {
+        self.material.is_translucent() || (self.glossy > 0.0 && self.material.is_glass())
     }
 
-    /// Scattering function times cosine towards `wi`, perfect lobes left out [sr^-1].
-    fn evaluate(&self, wi: DVec3) -> Rgb {
-        let local = self.frame.to_local(wi);
-        if local.z < 0.0 {
-            return self.material.diffuse_transmission * (-local.z / PI);
+    /// Scattering function times cosine towards `wi`, perfect lobes left out [sr^-1], and the density with which
+    /// a path goes on towards `wi`, these left out too [sr^-1].
+    fn evaluate(&self, wi: DVec3) -> (Rgb, f64) {
+        let cos = wi.dot(self.normal);
+        let (albedo, chance) = if cos < 0.0 {
+            (self.material.diffuse_transmission, self.choice[1])
+        } else {
+            (self.material.diffuse, self.choice[0])
+        };
+        let diffuse = cosine_density(cos.abs());
+        let (mut f, mut p) = (albedo * diffuse, chance * diffuse);
+        if self.glossy > 0.0 {
+            let (value, density) = self.specular.glossy(wi);
+            f += value;
+            p += self.glossy * density;
         }
-        let mut f = self.material.diffuse * (local.z / PI);
-        if self.is_glossy() {
-            let wo = self.frame.to_local(self.wo);
-            f += self.material.specular * bsdf::ggx_reflect(wo, local, self.material.alpha());
-        }
-        f
-    }
-
-    /// Density with which a path goes on towards `wi`, perfect lobes left out [sr^-1].
-    fn density(&self, wi: DVec3) -> f64 {
-        let local = self.frame.to_local(wi);
-        if local.z < 0.0 {
-            return self.choice[1] * cosine_density(-local.z);
-        }
-        let mut p = self.choice[0] * cosine_density(local.z);
-        if self.is_glossy() {
-            p += self.choice[2]
-                * bsdf::ggx_density(self.frame.to_local(self.wo), local, self.material.alpha());
-        }
-        p
+        (f, p)
     }
 }
 
@@ -106,17 +97,15 @@ impl Context<'_, '_> {
                 return radiance;
             }
             let wo = -direction;
-            let normal = at.facing(wo);
-            let Some(surface) = Surface::new(material, normal, wo) else { return radiance };
+            let Some(surface) = Surface::new(material, &at, wo) else { return radiance };
             let numbers = sampler.branch(depth);
-            if material.is_diffuse() || surface.is_glossy() {
+            if material.is_diffuse() || surface.glossy > 0.0 {
                 radiance += throughput * self.next_event(&surface, &at, numbers.numbers(1));
             }
             let u = numbers.numbers(2);
             let mut side = at.geometric;
             if u[3] >= surface.choice[0] + surface.choice[1] {
-                let scatter = bsdf::sample_specular(material, wo, normal, at.front, [u[0], u[1], u[2]]);
-                let Some(s) = scatter else { return radiance };
+                let Some(s) = surface.specular.sample([u[0], u[1], u[2]]) else { return radiance };
                 if (s.direction.dot(at.geometric) > 0.0) == s.transmitted {
                     return radiance;
                 }
@@ -130,28 +119,29 @@ impl Context<'_, '_> {
                     passage =
                         if passage == Passage::Straight && image { Passage::Image } else { Passage::Chain };
                 } else {
-                    let p = surface.density(direction);
+                    let (value, p) = surface.evaluate(direction);
                     if p <= 0.0 {
                         return radiance;
                     }
-                    throughput *= surface.evaluate(direction) / p;
+                    throughput *= value / p;
                     (sampled, passage, length) = (Some(p), Passage::Straight, 0.0);
                 }
             } else {
                 let transmitted = u[3] >= surface.choice[0];
                 let sign = if transmitted { -1.0 } else { 1.0 };
                 let local = cosine_hemisphere(u[0], u[1]);
-                direction = surface.frame.to_scene(DVec3::new(local.x, local.y, sign * local.z));
+                let frame = Frame::new(surface.normal);
+                direction = frame.to_scene(DVec3::new(local.x, local.y, sign * local.z));
                 side *= sign;
                 if direction.dot(side) <= 0.0 {
                     return radiance;
                 }
-                let p = surface.density(direction);
+                let (value, p) = surface.evaluate(direction);
                 // Exactly grazing: such a direction carries nothing.
                 if p <= 0.0 {
                     return radiance;
                 }
-                throughput *= surface.evaluate(direction) / p;
+                throughput *= value / p;
                 (sampled, passage, length) = (Some(p), Passage::Straight, 0.0);
             }
             if depth >= SURE {
@@ -171,14 +161,14 @@ impl Context<'_, '_> {
     fn next_event(&self, surface: &Surface, at: &SurfacePoint, u: [f64; 4]) -> Rgb {
         let Some(sample) = self.emitters.sample(self.scene, [u[2], u[0], u[1]]) else { return Rgb::ZERO };
         let mut sum = Rgb::ZERO;
-        let sides: &[f64] = if surface.material.is_translucent() { &[1.0, -1.0] } else { &[1.0] };
+        let sides: &[f64] = if surface.scatters_through() { &[1.0, -1.0] } else { &[1.0] };
         for &sign in sides {
-            let (normal, side) = (sign * surface.frame.z, sign * at.geometric);
+            let (normal, side) = (sign * surface.normal, sign * at.geometric);
             let origin = self.visibility.leave(at.point, side);
             let weigh = |c: &crate::emitters::Connection| {
                 let cos = c.direction.dot(normal);
-                let scattered = surface.evaluate(c.direction) / cos;
-                c.irradiance * scattered * mis_share(1.0, c.density, 1.0, surface.density(c.direction))
+                let (value, density) = surface.evaluate(c.direction);
+                c.irradiance * (value / cos) * mis_share(1.0, c.density, 1.0, density)
             };
             if let Some(c) = connect(at.point, normal, &sample) {
                 let value = weigh(&c);

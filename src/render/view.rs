@@ -1,18 +1,22 @@
 //! View rays: recursion over specular surfaces down to diffuse light.
 
 use super::{Context, Estimator, Method, Sampler, lobe};
-use crate::bsdf::{self, MIRROR_ALPHA, Scatter};
+use crate::bsdf::{Scatter, Specular};
 use crate::color::{self, Rgb};
 use crate::emitters::{connect, mis_share};
-use crate::geometry::Frame;
-use crate::scene::Material;
 use crate::visibility::SurfacePoint;
 use glam::{DVec3, Vec3};
 
 /// Branches weaker than this play Russian roulette.
 const WEAK: f64 = 0.05;
-/// Surfaces on one branch at most; reached between facing perfect mirrors only.
-const DEEPEST: u32 = 64;
+/// Branches over more surfaces than this play Russian roulette, whatever they weigh: between facing perfect mirrors
+/// nothing else ends them.
+const DEEP: u32 = 64;
+/// Chance that such a branch goes on: light caught in glass leaves slowly, and a smaller chance would leave its sum to
+/// few branches of great weight.
+const GOES_ON: f64 = 0.98;
+/// Surfaces on one branch at most, for the sake of the stack; of what two facing mirrors of albedo 0.99 show, 0.6 % lies beyond.
+const DEEPEST: u32 = 512;
 /// Behind a lobe this wide, interpolated radiosity is as good as fresh samples.
 const WIDE: f64 = 0.02;
 
@@ -74,50 +78,37 @@ impl Context<'_, '_> {
         if material.is_diffuse() {
             radiance += self.diffuse(material, &at, normal, sampler, sight.fine);
         }
-        if material.is_specular() && self.settings.method != Method::Radiosity && sight.depth < DEEPEST {
-            radiance += self.specular(material, &at, normal, wo, sight, sampler);
+        if material.is_specular() && self.settings.method != Method::Radiosity {
+            let surface = Specular::new(material, wo, normal, at.geometric, at.front);
+            radiance += self.specular(&surface, &at, sight, sampler);
         }
         radiance
     }
 
-    fn specular(
-        &self,
-        material: &Material,
-        at: &SurfacePoint,
-        normal: DVec3,
-        wo: DVec3,
-        sight: &Sight,
-        sampler: Sampler,
-    ) -> Rgb {
-        if material.is_glass() {
-            let branches = bsdf::glass_branches(material, wo, normal, at.front);
-            return branches
-                .iter()
-                .zip([1, 2])
-                .filter_map(|(s, branch)| Some(self.follow(at, s.as_ref()?, sight, sampler.branch(branch))))
-                .sum();
-        }
-        let alpha = material.alpha();
-        if alpha < MIRROR_ALPHA {
-            return bsdf::sample_reflection(material, wo, normal, 0.0, 0.0)
-                .map_or(Rgb::ZERO, |s| self.follow(at, &s, sight, sampler.branch(3)));
-        }
-        match self.settings.estimator {
-            // Grids within grids would cost n^4 rays: behind the first glossy surface one ray samples the lobe.
-            Estimator::Frustum(n) if sight.glossy == 0 => {
-                self.frustum(material, at, normal, wo, n, sight, sampler)
+    fn specular(&self, surface: &Specular, at: &SurfacePoint, sight: &Sight, sampler: Sampler) -> Rgb {
+        let mut scale = 1.0;
+        if sight.depth >= DEEP {
+            if sight.depth >= DEEPEST || sampler.numbers(6)[0] >= GOES_ON {
+                return Rgb::ZERO;
             }
-            Estimator::Lobe(n) if sight.glossy == 0 => self.lobe(material, at, normal, wo, n, sight, sampler),
-            _ => self.lobe(material, at, normal, wo, 1, sight, sampler),
+            scale = 1.0 / GOES_ON;
         }
+        let perfect = surface.perfect();
+        let lobes = perfect.iter().zip([3, 2]).filter_map(|(s, branch)| Some((s.as_ref()?, branch)));
+        let mut sum: Rgb = lobes.map(|(s, branch)| self.follow(at, s, sight, sampler.branch(branch))).sum();
+        if surface.is_glossy() {
+            sum += match self.settings.estimator {
+                // Grids within grids would cost n^4 rays: behind the first glossy surface one ray samples the lobe.
+                Estimator::Frustum(n) if sight.glossy == 0 => self.frustum(surface, at, n, sight, sampler),
+                Estimator::Lobe(n) if sight.glossy == 0 => self.lobe(surface, at, n, sight, sampler),
+                _ => self.lobe(surface, at, 1, sight, sampler),
+            };
+        }
+        scale * sum
     }
 
     /// The ray of one branch, or its Russian roulette.
     fn follow(&self, at: &SurfacePoint, s: &Scatter, sight: &Sight, sampler: Sampler) -> Rgb {
-        // An interpolated normal may have turned the direction to the wrong side of the face.
-        if (s.direction.dot(at.geometric) > 0.0) == s.transmitted {
-            return Rgb::ZERO;
-        }
         let mut scale = s.weight;
         let weight = sight.weight * color::mean(scale);
         if weight <= 0.0 {
@@ -143,70 +134,36 @@ impl Context<'_, '_> {
         scale * self.see(&next, sampler)
     }
 
-    /// The paper's estimator of a glossy lobe.
-    #[allow(clippy::too_many_arguments)] // a surface, a ray and the numbers
-    fn frustum(
-        &self,
-        material: &Material,
-        at: &SurfacePoint,
-        normal: DVec3,
-        wo: DVec3,
-        n: u32,
-        sight: &Sight,
-        sampler: Sampler,
-    ) -> Rgb {
-        let frame = Frame::new(normal);
-        let local = frame.to_local(wo);
-        let cells = lobe::frustum(local, material.alpha(), n, |cell| {
+    /// The paper's estimator of a glossy lobe: a grid over nearly all of it, and a ray for the rest.
+    fn frustum(&self, surface: &Specular, at: &SurfacePoint, n: u32, sight: &Sight, sampler: Sampler) -> Rgb {
+        let (frame, _) = surface.local();
+        let cells = lobe::frustum(surface, n, |cell| {
             let u = sampler.branch(4 + 16 * cell).numbers(3);
             (u[0], u[1])
         });
-        let total: f64 = cells.iter().map(|c| c.1).sum();
-        if total <= 0.0 {
-            return Rgb::ZERO;
-        }
-        let albedo = material.specular * lobe::albedo(local.z, material.alpha());
         let mut sum = Rgb::ZERO;
-        for (k, (direction, weight)) in cells.iter().enumerate().filter(|(_, c)| c.1 > 0.0) {
+        for (k, (direction, weight)) in cells.iter().enumerate() {
             let direction = frame.to_scene(*direction);
-            if direction.dot(at.geometric) <= 0.0 {
-                continue;
+            if let Some(next) = self.glossy(at, direction, surface, sight, None) {
+                sum += *weight * self.see(&next, sampler.branch(5 + 16 * k as u32));
             }
-            let next = self.glossy(at, direction, material, sight, None);
-            sum += weight / total * self.see(&next, sampler.branch(5 + 16 * k as u32));
         }
-        albedo * sum
+        sum
     }
 
     /// Importance sampling of a glossy lobe with `n` rays, sharing emitters with their own samples.
-    #[allow(clippy::too_many_arguments)] // as `frustum`
-    fn lobe(
-        &self,
-        material: &Material,
-        at: &SurfacePoint,
-        normal: DVec3,
-        wo: DVec3,
-        n: u32,
-        sight: &Sight,
-        sampler: Sampler,
-    ) -> Rgb {
-        let alpha = material.alpha();
-        let frame = Frame::new(normal);
-        let local = frame.to_local(wo);
+    fn lobe(&self, surface: &Specular, at: &SurfacePoint, n: u32, sight: &Sight, sampler: Sampler) -> Rgb {
         let samples = if self.emitters.is_empty() { 0 } else { self.settings.emitter_samples.min(n.max(1)) };
         let mut sum = Rgb::ZERO;
         for k in 0..n {
             let u = sampler.split(3, k, n);
-            let Some(s) = bsdf::sample_reflection(material, wo, normal, u[0], u[1]) else { continue };
-            if s.direction.dot(at.geometric) <= 0.0 {
-                continue;
-            }
+            let Some(s) = surface.sample_glossy([u[0], u[1], u[2]]) else { continue };
             let shared = (samples > 0).then_some((s.density, f64::from(n), f64::from(samples)));
-            let mut next = self.glossy(at, s.direction, material, sight, shared);
+            let Some(mut next) = self.glossy(at, s.direction, surface, sight, shared) else { continue };
             let mut scale = s.weight / f64::from(n);
             if next.weight < WEAK {
                 let survive = (next.weight / WEAK).max(1e-3);
-                if u[2] >= survive {
+                if u[3] >= survive {
                     continue;
                 }
                 scale /= survive;
@@ -214,46 +171,48 @@ impl Context<'_, '_> {
             }
             sum += scale * self.see(&next, sampler.branch_split(6, k, n));
         }
-        let origin = self.visibility.leave(at.point, at.geometric);
         for k in 0..samples {
             let u = sampler.split(4, k, samples);
             let Some(sample) = self.emitters.sample(self.scene, [u[2], u[0], u[1]]) else { break };
-            let Some(c) = connect(at.point, normal, &sample) else { continue };
-            let wi = frame.to_local(c.direction);
-            let value = bsdf::ggx_reflect(local, wi, alpha);
-            if value <= 0.0 || c.direction.dot(at.geometric) <= 0.0 {
+            let toward = sample.point - at.point;
+            let side = if toward.dot(at.geometric) > 0.0 { at.geometric } else { -at.geometric };
+            let Some(c) = connect(at.point, side, &sample) else { continue };
+            let (value, density) = surface.glossy(c.direction);
+            // Shading and geometric normal must agree about the side.
+            if value == Rgb::ZERO || surface.is_below(c.direction) != (side != at.geometric) {
                 continue;
             }
-            let share =
-                mis_share(f64::from(samples), c.density, f64::from(n), bsdf::ggx_density(local, wi, alpha));
+            let share = mis_share(f64::from(samples), c.density, f64::from(n), density);
+            let origin = self.visibility.leave(at.point, side);
             let segment = self.visibility.segment(origin, sample.point, sample.normal);
             self.cast(1);
             if self.visibility.unoccluded(&segment) {
-                let radiance = sample.radiance * value / c.density;
-                sum += material.specular * radiance * (share / f64::from(samples));
+                sum += value * sample.radiance * (share / (c.density * f64::from(samples)));
             }
         }
         sum
     }
 
-    /// The view ray of one direction of a glossy lobe.
+    /// The view ray of one direction of a glossy lobe; none where the face lies in its way.
     fn glossy(
         &self,
         at: &SurfacePoint,
         direction: DVec3,
-        material: &Material,
+        surface: &Specular,
         sight: &Sight,
         shared: Option<(f64, f64, f64)>,
-    ) -> Sight {
-        Sight {
-            origin: self.visibility.leave(at.point, at.geometric),
+    ) -> Option<Sight> {
+        let transmitted = surface.is_below(direction);
+        let side = if transmitted { -at.geometric } else { at.geometric };
+        (direction.dot(side) > 0.0).then(|| Sight {
+            origin: self.visibility.leave(at.point, side),
             direction,
             from: at.face,
             depth: sight.depth + 1,
-            weight: sight.weight * color::mean(material.specular),
+            weight: sight.weight * color::mean(surface.glossy_albedo()),
             glossy: sight.glossy + 1,
-            fine: sight.fine && material.alpha() < WIDE,
+            fine: sight.fine && surface.alpha() < WIDE,
             shared,
-        }
+        })
     }
 }

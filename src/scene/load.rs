@@ -15,13 +15,14 @@ use std::path::{Path, PathBuf};
 const DEFAULT_MATERIAL: &str = "default";
 
 const TOP_KEYS: [&str; 7] = ["geometry", "unit", "camera", "materials", "environment", "radiosity", "render"];
-const MATERIAL_KEYS: [&str; 9] = [
+const MATERIAL_KEYS: [&str; 10] = [
     "diffuse",
     "diffuse_transmission",
     "specular",
     "roughness",
     "specular_transmission",
     "ior",
+    "thin",
     "emission",
     "emit_both_sides",
     "two_sided",
@@ -167,6 +168,7 @@ struct Override {
     roughness: Option<f64>,
     specular_transmission: Option<Rgb>,
     ior: Option<f64>,
+    thin: Option<bool>,
     emission: Option<Rgb>,
     emit_both_sides: Option<bool>,
     two_sided: Option<bool>,
@@ -190,6 +192,7 @@ impl Override {
             roughness: roughness.transpose()?,
             specular_transmission: color("specular_transmission")?,
             ior: section.get("ior").map(|e| e.positive()).transpose()?,
+            thin: flag("thin")?,
             emission: color("emission")?,
             emit_both_sides: flag("emit_both_sides")?,
             two_sided: flag("two_sided")?,
@@ -203,6 +206,7 @@ impl Override {
         set(&mut m.roughness, self.roughness);
         set(&mut m.specular_transmission, self.specular_transmission);
         set(&mut m.ior, self.ior);
+        set(&mut m.thin, self.thin);
         set(&mut m.emission, self.emission);
         set(&mut m.emit_both_sides, self.emit_both_sides);
         set(&mut m.two_sided, self.two_sided);

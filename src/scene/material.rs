@@ -16,10 +16,14 @@ pub struct Material {
     pub specular: Rgb,
     /// Perceptual roughness, [0, 1]; 0 is a perfect mirror.
     pub roughness: f64,
-    /// Specular transmittance of smooth glass, [0, 1]; zero: opaque.
+    /// Specular transmittance of glass, [0, 1]; zero: opaque. What each crossing of the surface leaves of the
+    /// refracted light, as MTL's `Tf` is read by other renderers too (a tint of the interface): a body of glass, crossed
+    /// twice, shows its square, whatever its thickness. Beer's law, by length, would need a unit that MTL does not have.
     pub specular_transmission: Rgb,
     /// Index of refraction inside, relative to outside.
     pub ior: f64,
+    /// The surface is a sheet of glass with both its faces: light goes straight on.
+    pub thin: bool,
     /// Emitted radiance [W m^-2 sr^-1], from the front.
     pub emission: Rgb,
     /// Emit from the back too.
@@ -39,6 +43,7 @@ impl Material {
             roughness: 0.0,
             specular_transmission: Rgb::ZERO,
             ior: 1.5,
+            thin: false,
             emission: Rgb::ZERO,
             emit_both_sides: false,
             two_sided: true,
@@ -85,6 +90,12 @@ impl Material {
         self.specular != Rgb::ZERO || self.is_glass()
     }
 
+    /// Reflects or refracts in one direction only, as a mirror, clear glass or a thin window does.
+    pub fn has_perfect_lobe(&self) -> bool {
+        let smooth = self.alpha() < crate::bsdf::MIRROR_ALPHA;
+        self.is_specular() && (smooth || (self.is_glass() && self.ior == 1.0))
+    }
+
     /// Refracts.
     pub fn is_glass(&self) -> bool {
         self.specular_transmission != Rgb::ZERO
@@ -102,7 +113,9 @@ impl Material {
 
     /// Whether chains through this material keep one weight for all channels.
     pub fn has_grey_specular(&self) -> bool {
-        color::is_grey(self.specular) && color::is_grey(self.specular_transmission)
+        let grey = color::is_grey(self.specular) && color::is_grey(self.specular_transmission);
+        // Glass reflects what the diffuse part leaves.
+        grey && (!self.is_glass() || color::is_grey(self.diffuse + self.diffuse_transmission))
     }
 }
 
