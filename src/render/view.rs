@@ -132,7 +132,7 @@ impl Context<'_, '_> {
         }
         let side = if s.transmitted { -at.geometric } else { at.geometric };
         let next = Sight {
-            origin: self.visibility.leave(at.point, side),
+            origin: self.visibility.leave(at.face, at.point, side),
             direction: s.direction,
             from: at.face,
             depth: sight.depth + 1,
@@ -214,7 +214,7 @@ impl Context<'_, '_> {
             }
             sum += scale * self.see(&next, sampler.branch_split(6, k, n));
         }
-        let origin = self.visibility.leave(at.point, at.geometric);
+        let origin = self.visibility.leave(at.face, at.point, at.geometric);
         for k in 0..samples {
             let u = sampler.split(4, k, samples);
             let Some(sample) = self.emitters.sample(self.scene, [u[2], u[0], u[1]]) else { break };
@@ -226,7 +226,7 @@ impl Context<'_, '_> {
             }
             let share =
                 mis_share(f64::from(samples), c.density, f64::from(n), bsdf::ggx_density(local, wi, alpha));
-            let segment = self.visibility.segment(origin, sample.point, sample.normal);
+            let segment = self.visibility.segment(origin, sample.face, sample.point, sample.normal);
             self.cast(1);
             if self.visibility.unoccluded(&segment) {
                 let radiance = sample.radiance * value / c.density;
@@ -246,7 +246,7 @@ impl Context<'_, '_> {
         shared: Option<(f64, f64, f64)>,
     ) -> Sight {
         Sight {
-            origin: self.visibility.leave(at.point, at.geometric),
+            origin: self.visibility.leave(at.face, at.point, at.geometric),
             direction,
             from: at.face,
             depth: sight.depth + 1,

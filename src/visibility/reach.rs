@@ -13,7 +13,7 @@ use crate::geometry::Frame;
 use crate::mesh::{Sides, side_index};
 use crate::sampling::{self, cosine_hemisphere, seed_of, sobol};
 use crate::scene::CameraFrame;
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 /// Surfaces that a particle visits at most.
@@ -78,12 +78,14 @@ pub fn reachable_sides(visibility: &Visibility, cameras: &[(CameraFrame, [u32; 2
     let mut reached = Sides(found.iter().map(|&n| n >= PROOF).collect());
     // Points as particles found them, not one a side: a finely divided object would provide them all.
     let stride = seen.len().div_ceil(MOST_WITNESSES).max(1);
-    let witnesses: Vec<(DVec3, DVec3)> = seen
+    let witnesses: Vec<Place> = seen
         .iter()
         .filter(|(side, _)| reached.0[*side as usize])
         .step_by(stride)
         .map(|(side, p)| {
-            (*p, scene.faces[*side as usize / 2].normal * if side % 2 == 0 { 1.0 } else { -1.0 })
+            let face = side / 2;
+            let normal = scene.faces[face as usize].normal * if side % 2 == 0 { 1.0 } else { -1.0 };
+            Place { face, point: *p, normal }
         })
         .collect();
     let more: Vec<bool> = (0..reached.0.len())
@@ -98,7 +100,7 @@ pub fn reachable_sides(visibility: &Visibility, cameras: &[(CameraFrame, [u32; 2
 fn connects(
     visibility: &Visibility,
     side: u32,
-    witnesses: &[(DVec3, DVec3)],
+    witnesses: &[Place],
     outside: bool,
     seed: u32,
 ) -> bool {
@@ -109,40 +111,45 @@ fn connects(
     (0..SEGMENTS).any(|k| {
         let p = sobol(k, 0, seed_of(&[seed, side, 0xc0]));
         let (u, v) = if face.is_triangle() { sampling::triangle(p[0], p[1]) } else { (p[0], p[1]) };
-        let point = p0 + u * e1 + v * e2;
-        let origin = visibility.leave(point, normal);
+        let (u, v) = visibility.inside(side / 2, u, v);
+        let here = Place { face: side / 2, point: p0 + u * e1 + v * e2, normal };
+        let origin = visibility.leave(here.face, here.point, normal);
         let q = sobol(k, 0, seed_of(&[seed, side, 0xc1]));
         let d = Frame::new(normal).to_scene(cosine_hemisphere(q[0], q[1])).as_vec3();
         let Some(hit) = visibility.closest(origin, d, side / 2) else { return outside };
-        if free(visibility, point, normal, witnesses, p[2]) {
+        if free(visibility, &here, witnesses, p[2]) {
             return true;
         }
         // Most witnesses may lie behind a small face: from where its light goes, they can be seen.
         let stone = visibility.point(&hit);
+        let stone = Place { face: stone.face, point: stone.point, normal: stone.geometric };
         (0..STEPPING_STONES).any(|i| {
             let r = (q[2] + f64::from(i) / f64::from(STEPPING_STONES)).fract();
-            free(visibility, stone.point, stone.geometric, witnesses, r)
+            free(visibility, &stone, witnesses, r)
         })
     })
 }
 
-/// Whether the segment from a point to the witness that `choice` in [0, 1) picks is free.
-fn free(
-    visibility: &Visibility,
+/// A point of one side of a face.
+struct Place {
+    face: u32,
     point: DVec3,
+    /// Towards the side.
     normal: DVec3,
-    witnesses: &[(DVec3, DVec3)],
-    choice: f64,
-) -> bool {
-    let Some(&(target, facing)) = witnesses.get((choice * witnesses.len() as f64) as usize) else {
+}
+
+/// Whether the segment from a place to the witness that `choice` in [0, 1) picks is free.
+fn free(visibility: &Visibility, from: &Place, witnesses: &[Place], choice: f64) -> bool {
+    let Some(to) = witnesses.get((choice * witnesses.len() as f64) as usize) else {
         return false;
     };
-    let d = target - point;
+    let d = to.point - from.point;
     // Grazing segments could pass through contacts by rounding.
     let l = d.length();
-    d.dot(normal) > 1e-3 * l
-        && -d.dot(facing) > 1e-3 * l
-        && visibility.unoccluded(&visibility.segment(visibility.leave(point, normal), target, facing))
+    let origin = visibility.leave(from.face, from.point, from.normal);
+    d.dot(from.normal) > 1e-3 * l
+        && -d.dot(to.normal) > 1e-3 * l
+        && visibility.unoccluded(&visibility.segment(origin, to.face, to.point, to.normal))
 }
 
 struct Walker<'a, 's> {
@@ -159,26 +166,20 @@ impl Walker<'_, '_> {
         let (p0, e1, e2) = scene.face_frame(f);
         let normal = if front { f.normal } else { -f.normal };
         let d = Frame::new(normal).to_scene(cosine_hemisphere(p[2], p[3]));
-        self.walk(p0 + u * e1 + v * e2, normal, d, face)
+        let (u, v) = self.visibility.inside(face, u, v);
+        self.walk(self.visibility.leave(face, p0 + u * e1 + v * e2, normal), d, face)
     }
 
     fn walk_from_camera(&self, frame: &CameraFrame, size: [u32; 2], index: u32) -> Vec<(u32, DVec3)> {
         let p = sobol(index, 0, 0xca3);
         let d = frame.direction(p[0] * f64::from(size[0]), p[1] * f64::from(size[1]));
-        self.walk(frame.origin(), DVec3::ZERO, d, u32::MAX)
+        self.walk(frame.origin().as_vec3(), d, u32::MAX)
     }
 
-    fn walk(
-        &self,
-        mut point: DVec3,
-        mut normal: DVec3,
-        mut direction: DVec3,
-        mut from: u32,
-    ) -> Vec<(u32, DVec3)> {
+    fn walk(&self, mut origin: Vec3, mut direction: DVec3, mut from: u32) -> Vec<(u32, DVec3)> {
         let scene = self.visibility.scene();
         let mut sides = Vec::new();
         for step in 0..STEPS {
-            let origin = self.visibility.leave(point, normal);
             let Some(hit) = self.visibility.closest(origin, direction.as_vec3(), from) else { break };
             sides.push((side_index(hit.face, hit.front) as u32, self.visibility.point(&hit).point));
             let at = self.visibility.point(&hit);
@@ -187,7 +188,8 @@ impl Walker<'_, '_> {
                 break;
             }
             let p = sobol(step, 0, self.seed);
-            (point, normal, from) = (at.point, at.geometric, hit.face);
+            let mut normal = at.geometric;
+            from = hit.face;
             // Any way that light may go on is taken, whatever its weight: this asks whether, not how much.
             let specular = material.is_specular() && (p[3] < 0.5 || !material.is_diffuse());
             if specular {
@@ -209,6 +211,7 @@ impl Walker<'_, '_> {
                 }
                 direction = Frame::new(normal).to_scene(cosine_hemisphere(p[0], p[1]));
             }
+            origin = self.visibility.leave(hit.face, at.point, normal);
         }
         sides
     }

@@ -1,0 +1,3 @@
+//! Cases on which radiosity, form factors and single-precision rays are known to break.
+
+pub mod build;
