@@ -293,7 +293,7 @@ fn furnished(at: Point) -> Result<Scene> {
 fn far_room(distance: f64) -> Result<Outcome> {
     let method = Method::TwoPass(Quality::Gather);
     let images =
-        [[0.0; 3], [distance, -distance, 0.5 * distance]].map(|at| picture(&furnished(at)?, method, 4, 256, Some(0.2)));
+        [[0.0; 3], [distance, -distance, 0.5 * distance]].map(|at| picture(&furnished(at)?, method, 4, (256, Some(0.2)), 1));
     let [near, far] = images;
     let (near, far) = (near?, far?);
     let m = mean(&near);

@@ -101,14 +101,14 @@ fn picture(
     scene: &Scene,
     method: render::Method,
     spp: u32,
-    rays: u32,
-    element_size: Option<f64>,
+    (rays, element_size): (u32, Option<f64>),
+    seed: u32,
 ) -> Result<Image> {
     let device = Device::new(0)?;
     let visibility = Visibility::new(&device, scene)?;
     let emitters = Emitters::new(scene);
     let camera = scene.camera(None)?.clone();
-    let settings = Pass1 { rays, element_size, seed: 1 };
+    let settings = Pass1 { rays, element_size, seed };
     let needs_solution = !matches!(method, render::Method::Whitted | render::Method::Path);
     let solution = if needs_solution {
         let cameras = std::slice::from_ref(&camera);
@@ -123,7 +123,7 @@ fn picture(
         gather_rays: 16,
         emitter_samples: 4,
         estimator: render::Estimator::Lobe(4),
-        seed: 2,
+        seed,
     };
     Ok(render::render(&visibility, &emitters, solution.as_ref(), &camera, &settings, &|_| ()).0)
 }

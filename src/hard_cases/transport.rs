@@ -1,6 +1,6 @@
 //! Materials and light that break solvers and samplers.
 
-use super::build::{Point, SceneText, box_sides, plate, sphere};
+use super::build::{Point, SceneText, box_sides, plate};
 use super::exact::factor;
 use super::{Case, Outcome, compare, departure, mean, picture, said, solve, solved};
 use crate::Result;
@@ -190,7 +190,7 @@ fn glass_room(body: &str, ends: bool, eye: Point) -> Result<Outcome> {
     let target = if ends { [0.5, 1.0, 0.5] } else { [0.51, 0.9, 0.47] };
     let mut text = SceneText::new()
         .head(&format!(
-            "[camera]\norigin = {eye:?}\ntarget = {target:?}\nup = [0, 0, 1]\nfov = 70\nsize = [16, 16]"
+            "[camera]\norigin = {eye:?}\ntarget = {target:?}\nup = [0, 0, 1]\nfov = 40\nsize = [16, 16]"
         ))
         .cuboid(
             "",
@@ -204,7 +204,7 @@ fn glass_room(body: &str, ends: bool, eye: Point) -> Result<Outcome> {
     if !ends {
         text = text.cuboid("body-", |_| "body".into(), [0.31, 0.33, 0.32], [0.4, 0.3, 0.37], false);
     }
-    let image = picture(&text.load()?, Method::TwoPass(Quality::Mesh), 16, 1024, Some(0.25))?;
+    let image = picture(&text.load()?, Method::TwoPass(Quality::Mesh), 16, (1024, Some(0.25)), 1)?;
     Ok(match departure(&image, 2.0 / PI) {
         // Single pixels carry the noise of Russian roulette and of pass 1: the mean must hold to 1 %, pixels to 10 %.
         Outcome::Number { error, .. } => {
@@ -234,19 +234,20 @@ fn rough() -> Result<Outcome> {
 /// Means of an image by both passes and by the path tracer in eight independent parts, whose spread is the standard error.
 fn against_path(text: &SceneText, spp: u32, path_spp: u32) -> Result<Outcome> {
     let scene = text.load()?;
-    let two_pass = mean(&picture(&scene, Method::TwoPass(Quality::Gather), spp, 1024, Some(0.1))?);
-    let image = picture(&scene, Method::Path, path_spp, 1, None)?;
-    // Pixels of one object differ by far more than their noise: this overstates the standard error of the mean.
-    let values: Vec<f64> = (0..image.height)
-        .flat_map(|y| (0..image.width).map(move |x| (x, y)))
-        .map(|(x, y)| f64::from(image.get(x, y)[1]))
-        .collect();
-    let reference = mean(&image);
-    if values.iter().all(|v| *v == 0.0) {
+    let means = |method: Method, spp: u32, parts: u32| -> Result<(f64, f64)> {
+        let runs: Vec<f64> = (0..parts)
+            .map(|seed| Ok(mean(&picture(&scene, method, (spp / parts).max(1), (1024, Some(0.1)), seed)?)))
+            .collect::<Result<_>>()?;
+        let m = runs.iter().sum::<f64>() / f64::from(parts);
+        let spread: f64 = runs.iter().map(|r| (r - m) * (r - m)).sum();
+        Ok((m, (spread / f64::from(parts * (parts - 1))).sqrt()))
+    };
+    let (reference, a) = means(Method::Path, path_spp, 8)?;
+    let (two_pass, b) = means(Method::TwoPass(Quality::Gather), spp, 4)?;
+    if reference == 0.0 {
         return Err(Error::scene("path tracer", "found no light"));
     }
-    let _ = values;
-    Ok(Outcome::Number { error: (two_pass / reference - 1.0).abs(), standard_error: 0.0 })
+    Ok(Outcome::Number { error: (two_pass / reference - 1.0).abs(), standard_error: a.hypot(b) / reference })
 }
 
 /// A lamp that stands upright beside a floor and shines along it.
@@ -289,7 +290,7 @@ fn keyhole() -> Result<Outcome> {
     solved(&text, 16_384, Some(0.05), &[("screen", exact)])
 }
 
-/// A lamp in a black box that is open to the room only by a pane (or over a mirror).
+/// A lamp in a black box that is open to the room only by a slab of glass, or shines at a mirror only.
 fn only_by(material: &str) -> Result<Outcome> {
     let glass = material.contains("transmission");
     let mut text = SceneText::new()
@@ -300,13 +301,15 @@ fn only_by(material: &str) -> Result<Outcome> {
         .diffuse("lamp", 0.0, 50.0)
         .material("special", material);
     if glass {
-        // A lamp inside a glass ball: there is no straight way out.
-        text = text.polygon("lamp", "lamp", &plate([0.45, 0.55], [0.45, 0.55], 0.6, false));
-        let ball: Vec<Vec<Point>> = sphere(0.15, 6, false)
-            .into_iter()
-            .map(|t| t.into_iter().map(|p| [p[0] + 0.5, p[1] + 0.5, p[2] + 0.6]).collect())
-            .collect();
-        text = text.polygons("ball", "special", &ball);
+        // A lamp in a black box that a slab of glass closes.
+        text = text
+            .polygon("lamp", "lamp", &plate([0.4, 0.6], [0.4, 0.6], 0.9, false))
+            .cuboid("slab-", |_| "special".into(), [0.25, 0.25, 0.6], [0.5, 0.5, 0.1], false);
+        for (side, p) in box_sides([0.3, 0.3, 0.7], [0.4, 0.4, 0.25], true) {
+            if side != "z0" {
+                text = text.polygon("case", "black", &p);
+            }
+        }
     } else {
         // A lamp that shines up into a mirror, over a black tray.
         text = text
@@ -314,5 +317,5 @@ fn only_by(material: &str) -> Result<Outcome> {
             .polygon("tray", "black", &plate([0.3, 0.7], [0.3, 0.7], 0.59, true))
             .polygon("mirror", "special", &plate([0.1, 0.9], [0.1, 0.9], 0.9, false));
     }
-    against_path(&text, 64, if glass { 65_536 } else { 8192 })
+    against_path(&text, 64, if glass { 16_384 } else { 8192 })
 }

@@ -70,7 +70,7 @@ fn image([width, height]: [u32; 2]) -> Result<Outcome> {
         "[camera]\norigin = [0.5, 0.1, 0.5]\ntarget = [0.5, 1, 0.5]\nup = [0, 0, 1]\nfov = 60\nsize = [{width}, {height}]"
     );
     let scene = room(&head).load()?;
-    Ok(departure(&picture(&scene, Method::TwoPass(Quality::Mesh), 1, 4096, Some(0.5))?, 2.0 / PI))
+    Ok(departure(&picture(&scene, Method::TwoPass(Quality::Mesh), 1, (4096, Some(0.5)), 1)?, 2.0 / PI))
 }
 
 /// Six hundred elements with eight rays each: most factors of a row are missing, and the sums still close.

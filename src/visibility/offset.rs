@@ -45,10 +45,12 @@ pub(super) struct Offset {
     triangle: bool,
 }
 
-/// The offsets of every face.
-pub(super) fn offsets(scene: &Scene) -> Vec<Offset> {
+/// The offsets of every face, and whether every edge belongs to two faces or more.
+pub(super) fn offsets(scene: &Scene) -> (Vec<Offset>, bool) {
     let mut offsets: Vec<Offset> = scene.faces.iter().map(|f| own_offset(scene, f)).collect();
-    for edges in shared_edges(scene).chunk_by(|a, b| a.0 == b.0).filter(|c| c.len() > 1) {
+    let mut closed = true;
+    for edges in shared_edges(scene).chunk_by(|a, b| a.0 == b.0) {
+        closed &= edges.len() > 1;
         for (k, &(_, face, edge)) in edges.iter().enumerate() {
             for &(_, other, other_edge) in edges[..k].iter().filter(|e| e.1 != face) {
                 let (a, b) =
@@ -64,7 +66,7 @@ pub(super) fn offsets(scene: &Scene) -> Vec<Offset> {
             }
         }
     }
-    offsets
+    (offsets, closed)
 }
 
 /// Lift of a face, and the margins of its edges as if they were free.

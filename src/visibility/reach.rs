@@ -24,6 +24,10 @@ const PROOF: u32 = 3;
 const SEGMENTS: u32 = 64;
 /// Points that segments lead to, at most.
 const MOST_WITNESSES: usize = 1 << 16;
+/// Segments closer to a surface than this cosine prove nothing.
+const GRAZING: f64 = 1e-4;
+/// Most particles, where few found something.
+const MOST_PARTICLES: u32 = 1 << 21;
 /// Witnesses tried from the point where a ray from such a side lands.
 const STEPPING_STONES: u32 = 4;
 
@@ -42,45 +46,74 @@ pub fn reachable_sides(visibility: &Visibility, cameras: &[(CameraFrame, [u32; 2
     if emitters.is_empty() && cameras.is_empty() && !outside {
         return Sides::all(scene);
     }
-    let particles = (scene.faces.len() as u32).saturating_mul(8).clamp(1 << 15, 1 << 21);
-    let sources = emitters.len() + cameras.len();
-    let mut walks: Vec<Vec<(u32, DVec3)>> = Vec::new();
-    if sources > 0 {
-        walks = (0..particles)
-            .into_par_iter()
-            .with_min_len(1024)
-            .map(|k| {
-                let source = k as usize % sources;
-                let walker = Walker { visibility, seed: seed_of(&[seed, k, 0x7ea]) };
-                match emitters.get(source) {
-                    Some(&(face, front)) => walker.walk_from_face(face, front, k / sources as u32),
-                    None => {
-                        let (frame, size) = &cameras[source - emitters.len()];
-                        walker.walk_from_camera(frame, *size, k / sources as u32)
-                    }
+    let particles = (scene.faces.len() as u32).saturating_mul(8).clamp(1 << 15, MOST_PARTICLES);
+    let send = |range: std::ops::Range<u32>| -> Vec<Vec<(u32, DVec3)>> {
+        let sources = emitters.len() + cameras.len();
+        let range = if sources > 0 { range } else { 0..0 };
+        let walk = |k: u32| {
+            let source = k as usize % sources;
+            let walker = Walker { visibility, seed: seed_of(&[seed, k, 0x7ea]) };
+            let mut sides = match emitters.get(source) {
+                Some(&(face, front)) => walker.walk_from_face(face, front, k / sources as u32),
+                None => {
+                    let (frame, size) = &cameras[source - emitters.len()];
+                    walker.walk_from_camera(frame, *size, k / sources as u32)
                 }
-            })
-            .collect();
-    }
+            };
+            sides.sort_unstable_by_key(|(side, _)| *side);
+            sides.dedup_by_key(|(side, _)| *side);
+            sides
+        };
+        range.into_par_iter().with_min_len(1024).map(walk).collect()
+    };
     let mut found = vec![0u32; 2 * scene.faces.len()];
     let mut seen = Vec::new();
-    for walk in &mut walks {
-        walk.sort_unstable_by_key(|(side, _)| *side);
-        walk.dedup_by_key(|(side, _)| *side);
-        for (side, point) in walk {
-            found[*side as usize] += 1;
-            seen.push((*side, *point));
-        }
+    for (side, point) in send(0..particles).into_iter().flatten() {
+        found[side as usize] += 1;
+        seen.push((side, point));
     }
     for &(face, front) in &emitters {
         found[side_index(face, front)] = PROOF;
     }
-    let mut reached = Sides(found.iter().map(|&n| n >= PROOF).collect());
+    let mut reached: Vec<bool> = found.iter().map(|&n| n >= PROOF).collect();
+    connect(visibility, &mut reached, &seen, outside, seed);
+    // A side that one or two particles found, and no segment, lies behind a crack or a keyhole: more of them tell.
+    let mut sent = particles;
+    while sent < MOST_PARTICLES && found.iter().zip(&reached).any(|(&n, r)| n > 0 && !r) {
+        let next = sent.saturating_mul(4).min(MOST_PARTICLES);
+        for (side, point) in send(sent..next).into_iter().flatten() {
+            if !reached[side as usize] {
+                found[side as usize] += 1;
+                seen.push((side, point));
+            }
+        }
+        sent = next;
+        let mut news = false;
+        for (r, &n) in reached.iter_mut().zip(&found).filter(|(r, n)| !**r && **n >= PROOF) {
+            *r = n >= PROOF;
+            news = true;
+        }
+        if news {
+            connect(visibility, &mut reached, &seen, outside, seed_of(&[seed, sent]));
+        }
+    }
+    Sides(reached)
+}
+
+/// Adds the sides from which some segment to a point that was found, or a ray to the outside, is free.
+fn connect(
+    visibility: &Visibility,
+    reached: &mut Vec<bool>,
+    seen: &[(u32, DVec3)],
+    outside: bool,
+    seed: u32,
+) {
+    let scene = visibility.scene();
     // Points as particles found them, not one a side: a finely divided object would provide them all.
     let stride = seen.len().div_ceil(MOST_WITNESSES).max(1);
     let witnesses: Vec<Place> = seen
         .iter()
-        .filter(|(side, _)| reached.0[*side as usize])
+        .filter(|(side, _)| reached[*side as usize])
         .step_by(stride)
         .map(|(side, p)| {
             let face = side / 2;
@@ -88,12 +121,10 @@ pub fn reachable_sides(visibility: &Visibility, cameras: &[(CameraFrame, [u32; 2
             Place { face, point: *p, normal }
         })
         .collect();
-    let more: Vec<bool> = (0..reached.0.len())
+    *reached = (0..reached.len())
         .into_par_iter()
-        .map(|s| reached.0[s] || connects(visibility, s as u32, &witnesses, outside, seed))
+        .map(|s| reached[s] || connects(visibility, s as u32, &witnesses, outside, seed))
         .collect();
-    reached.0 = more;
-    reached
 }
 
 /// Whether some segment from a side to a witness, or a ray to the outside, is free.
@@ -116,10 +147,10 @@ fn connects(
         let origin = visibility.leave(here.face, here.point, normal);
         let q = sobol(k, 0, seed_of(&[seed, side, 0xc1]));
         let d = Frame::new(normal).to_scene(cosine_hemisphere(q[0], q[1])).as_vec3();
-        let Some(hit) = visibility.closest(origin, d, side / 2) else { return outside };
         if free(visibility, &here, witnesses, p[2]) {
             return true;
         }
+        let Some(hit) = visibility.closest(origin, d, side / 2) else { return outside };
         // Most witnesses may lie behind a small face: from where its light goes, they can be seen.
         let stone = visibility.point(&hit);
         let stone = Place { face: stone.face, point: stone.point, normal: stone.geometric };
@@ -147,8 +178,8 @@ fn free(visibility: &Visibility, from: &Place, witnesses: &[Place], choice: f64)
     // Grazing segments could pass through contacts by rounding.
     let l = d.length();
     let origin = visibility.leave(from.face, from.point, from.normal);
-    d.dot(from.normal) > 1e-3 * l
-        && -d.dot(to.normal) > 1e-3 * l
+    d.dot(from.normal) > GRAZING * l
+        && -d.dot(to.normal) > GRAZING * l
         && visibility.unoccluded(&visibility.segment(origin, to.face, to.point, to.normal))
 }
 
@@ -167,7 +198,10 @@ impl Walker<'_, '_> {
         let normal = if front { f.normal } else { -f.normal };
         let d = Frame::new(normal).to_scene(cosine_hemisphere(p[2], p[3]));
         let (u, v) = self.visibility.inside(face, u, v);
-        self.walk(self.visibility.leave(face, p0 + u * e1 + v * e2, normal), d, face)
+        let point = p0 + u * e1 + v * e2;
+        let mut sides = self.walk(self.visibility.leave(face, point, normal), d, face);
+        sides.push((side_index(face, front) as u32, point));
+        sides
     }
 
     fn walk_from_camera(&self, frame: &CameraFrame, size: [u32; 2], index: u32) -> Vec<(u32, DVec3)> {
