@@ -29,7 +29,14 @@ struct Room {
 fn room() -> impl Strategy<Value = Room> {
     let unit = || 0.0..1.0f64;
     let point = move || [unit(), unit(), unit()];
-    ([0.5..3.0f64, 0.5..3.0, 0.5..3.0], [0.0..0.9f64, 0.0..0.9, 0.0..0.9], [point(), point()], [point(), point()], unit(), any::<bool>())
+    (
+        [0.5..3.0f64, 0.5..3.0, 0.5..3.0],
+        [0.0..0.9f64, 0.0..0.9, 0.0..0.9],
+        [point(), point()],
+        [point(), point()],
+        unit(),
+        any::<bool>(),
+    )
         .prop_map(|(size, albedo, at, extent, lamp, open)| {
             let place = |k: usize| {
                 // One box in each half of the room along x, below the lamp, standing or floating.
@@ -86,7 +93,10 @@ fn check(cases: u32, property: impl Fn(Room) -> Result<(), TestCaseError>) {
 
 /// Objects' means of two solutions of one scene agree within their standard errors, after scaling the second's.
 fn agree(a: &Pass1Result, b: &Pass1Result, slack: f64) -> Result<(), TestCaseError> {
-    prop_assert_eq!(a.solution.objects.len(), b.solution.objects.len());
+    let names = |r: &Pass1Result| -> Vec<String> {
+        r.solution.objects.iter().map(|o| format!("{} {}", o.name, o.front)).collect()
+    };
+    prop_assert_eq!(names(a), names(b));
     for x in &a.solution.objects {
         let y = b.solution.objects.iter().find(|y| y.name == x.name && y.front == x.front);
         let Some(y) = y else { return Err(TestCaseError::fail(format!("no {}", x.name))) };
@@ -111,7 +121,10 @@ fn energy_never_grows() {
         let r = solve(&room.text(1.0, 1.0).load().expect("scene"), 512, room.element_size(), 1);
         let l = &r.solution.ledger;
         prop_assert!(l.residual.x.abs() <= STANDARD_ERRORS * l.residual_error.x + 1e-3, "{l:?}");
-        prop_assert!(l.absorbed.x <= l.emitted.x * (1.0 + STANDARD_ERRORS * l.residual_error.x + 1e-3), "{l:?}");
+        prop_assert!(
+            l.absorbed.x <= l.emitted.x * (1.0 + STANDARD_ERRORS * l.residual_error.x + 1e-3),
+            "{l:?}"
+        );
         prop_assert!(r.solution.radiosity.iter().all(|b| b.x.is_finite() && b.x >= 0.0));
         prop_assert!(!r.warnings.iter().any(|w| w.contains("not to be trusted")), "{:?}", r.warnings);
         Ok(())
@@ -145,6 +158,11 @@ fn factors_are_shares_and_reciprocal() {
             let s = &matrix.summary[row];
             prop_assert!((sum + s.escaped.x + s.absorbed.x - 1.0).abs() < 1e-5, "row {row}: {sum} {s:?}");
         }
+        let mut largest = vec![0.0f64; scene.objects.len()];
+        for e in 0..mesh.len() as u32 {
+            let object = scene.faces[mesh.place(e).0 as usize].object as usize;
+            largest[object] = largest[object].max(mesh.area(e));
+        }
         let table = twopass::form_factor::ObjectTable::new(&scene, &mesh, &matrix, 0.0);
         for a in 0..table.objects.len() {
             for b in 0..a {
@@ -152,9 +170,11 @@ fn factors_are_shares_and_reciprocal() {
                     (table.areas[a] * table.form_factors[a][b], table.areas[b] * table.form_factors[b][a]);
                 let error = (table.areas[a] * table.standard_errors[a][b])
                     .hypot(table.areas[b] * table.standard_errors[b][a]);
-                // A hundredth of a ray an element: factors this small are seen by no ray of one or the other.
-                let unseen = 1e-5 * table.areas[a].min(table.areas[b]);
-                prop_assert!((ab - ba).abs() <= STANDARD_ERRORS * error + unseen, "{ab} {ba} {error}");
+                // Few hits spread as a Poisson variable does, and none at all shows no spread: what one ray of
+                // the larger elements counts for, and the root of how many there should be.
+                let ray = largest[a].max(largest[b]) / 1024.0;
+                let poisson = (ray * ab.max(ba)).sqrt() + ray;
+                prop_assert!((ab - ba).abs() <= STANDARD_ERRORS * error.max(poisson), "{ab} {ba} {error}");
             }
         }
         Ok(())
@@ -169,10 +189,11 @@ fn monotone_in_emission_and_reflectance() {
         let one = solve(&room.text(1.0, 1.0).load().expect("scene"), 256, size, 1).solution;
         let two = solve(&room.text(2.0, 1.0).load().expect("scene"), 256, size, 1).solution;
         let darker = solve(&room.text(1.0, 0.7).load().expect("scene"), 256, size, 1).solution;
+        let brightest = two.radiosity.iter().map(|b| b.x).fold(0.0, f64::max);
         for ((a, b), c) in one.radiosity.iter().zip(&two.radiosity).zip(&darker.radiosity) {
-            prop_assert!((b.x - 2.0 * a.x).abs() <= 1e-7 * b.x);
+            prop_assert!((b.x - 2.0 * a.x).abs() <= 1e-7 * brightest);
             // The same rays: the same factors, smaller albedos.
-            prop_assert!(c.x <= a.x * (1.0 + 1e-6), "{} {}", c.x, a.x);
+            prop_assert!(c.x <= a.x + 1e-7 * brightest, "{} {}", c.x, a.x);
         }
         Ok(())
     });
@@ -225,7 +246,13 @@ fn subdividing_converges() {
 fn standard_errors_are_calibrated() {
     for albedo in [0.3, 0.9, 0.99] {
         let text = SceneText::new()
-            .cuboid("", |s| if s == "z1" { "lit".into() } else { "m".into() }, [0.0; 3], [1.0, 1.3, 0.8], true)
+            .cuboid(
+                "",
+                |s| if s == "z1" { "lit".into() } else { "m".into() },
+                [0.0; 3],
+                [1.0, 1.3, 0.8],
+                true,
+            )
             .cuboid("box-", |_| "m".into(), [0.3, 0.4, 0.2], [0.2, 0.3, 0.3], false)
             .diffuse("m", albedo, 0.0)
             .diffuse("lit", albedo, 1.0);

@@ -22,9 +22,12 @@ const fn case(
 
 /// The geometry of the suite.
 pub(super) const CASES: &[Case] = &[
-    case("edge shared at 0.1 degrees", "origins beyond the neighbour, singular kernels", "quadrature", || {
-        wedge(0.1)
-    }),
+    case(
+        "edge shared at 0.1 degrees",
+        "origins beyond the neighbour, singular kernels",
+        "quadrature",
+        || wedge(0.1),
+    ),
     case("edge shared at 1 degree", "as above", "quadrature", || wedge(1.0)),
     case("edge shared at 10 degrees", "as above", "quadrature", || wedge(10.0)),
     case("edge shared at 90 degrees", "quadrature on shared edges", "quadrature", || wedge(90.0)),
@@ -128,9 +131,11 @@ fn doubled_walls() -> Result<Outcome> {
     // The second of each wall is cut into two triangles along the other diagonal: no face is the same as another.
     let mut text = SceneText::new().cuboid("", |_| "m".into(), [0.0; 3], [1.0; 3], true);
     for (side, p) in box_sides([0.0; 3], [1.0; 3], true) {
-        text = text
-            .polygon(&format!("again-{side}"), "m", &[p[1], p[2], p[3]])
-            .polygon(&format!("again-{side}"), "m", &[p[1], p[3], p[0]]);
+        text = text.polygon(&format!("again-{side}"), "m", &[p[1], p[2], p[3]]).polygon(
+            &format!("again-{side}"),
+            "m",
+            &[p[1], p[3], p[0]],
+        );
     }
     let scene = text.diffuse("m", ALBEDO, 1.0).load()?;
     let result = solve(&scene, 1024, Some(0.25), 1)?;
@@ -142,9 +147,13 @@ fn doubled_walls() -> Result<Outcome> {
 }
 
 fn standing_box() -> Result<Outcome> {
-    let text = SceneText::new()
-        .cuboid("", |_| "m".into(), [0.0; 3], [1.0; 3], true)
-        .cuboid("box-", |_| "m".into(), [0.31, 0.27, 0.0], [0.4, 0.35, 0.5], false);
+    let text = SceneText::new().cuboid("", |_| "m".into(), [0.0; 3], [1.0; 3], true).cuboid(
+        "box-",
+        |_| "m".into(),
+        [0.31, 0.27, 0.0],
+        [0.4, 0.35, 0.5],
+        false,
+    );
     let scene = text.diffuse("m", ALBEDO, 1.0).load()?;
     let result = solve(&scene, 2048, Some(0.1), 1)?;
     // The bottom and what it covers are not seen.
@@ -163,9 +172,11 @@ fn slivers(aspect: f64) -> Result<Outcome> {
     let mut text = SceneText::new().polygon("floor", "grey", &plate([0.0, 0.5], [0.0, 1.0], 0.0, true));
     for k in 0..10 {
         let (a, b) = (0.5 + w * f64::from(k), 0.5 + w * f64::from(k + 1));
-        text = text
-            .polygon("floor", "grey", &[[a, 0.0, 0.0], [b, 0.0, 0.0], [b, 1.0, 0.0]])
-            .polygon("floor", "grey", &[[a, 0.0, 0.0], [b, 1.0, 0.0], [a, 1.0, 0.0]]);
+        text = text.polygon("floor", "grey", &[[a, 0.0, 0.0], [b, 0.0, 0.0], [b, 1.0, 0.0]]).polygon(
+            "floor",
+            "grey",
+            &[[a, 0.0, 0.0], [b, 1.0, 0.0], [a, 1.0, 0.0]],
+        );
     }
     let text = text
         .polygon("floor", "grey", &plate([0.5 + 10.0 * w, 1.0], [0.0, 1.0], 0.0, true))
@@ -251,13 +262,18 @@ fn small_box_aside() -> Result<Outcome> {
 }
 
 fn box_in_hall(share: f64, at: Point) -> Result<Outcome> {
-    let text = SceneText::new()
-        .cuboid("", |_| "m".into(), [0.0; 3], [1.0; 3], true)
-        .cuboid("box-", |_| "m".into(), at, [share; 3], false);
+    let text = SceneText::new().cuboid("", |_| "m".into(), [0.0; 3], [1.0; 3], true).cuboid(
+        "box-",
+        |_| "m".into(),
+        at,
+        [share; 3],
+        false,
+    );
     let scene = text.diffuse("m", ALBEDO, 1.0).load()?;
     let result = solve(&scene, 4096, Some(0.25), 1)?;
-    let answers: Vec<(&str, f64)> =
-        ["z0", "x1", "box-x0", "box-x1", "box-y0", "box-y1", "box-z1"].map(|n| (n, 1.0 / (1.0 - ALBEDO))).into();
+    let answers: Vec<(&str, f64)> = ["z0", "x1", "box-x0", "box-x1", "box-y0", "box-y1", "box-z1"]
+        .map(|n| (n, 1.0 / (1.0 - ALBEDO)))
+        .into();
     compare(&result, &answers)
 }
 
@@ -292,8 +308,8 @@ fn furnished(at: Point) -> Result<Scene> {
 
 fn far_room(distance: f64) -> Result<Outcome> {
     let method = Method::TwoPass(Quality::Gather);
-    let images =
-        [[0.0; 3], [distance, -distance, 0.5 * distance]].map(|at| picture(&furnished(at)?, method, 4, (256, Some(0.2)), 1));
+    let images = [[0.0; 3], [distance, -distance, 0.5 * distance]]
+        .map(|at| picture(&furnished(at)?, method, 4, (256, Some(0.2)), 1));
     let [near, far] = images;
     let (near, far) = (near?, far?);
     let m = mean(&near);
@@ -322,7 +338,10 @@ fn t_junctions() -> Result<Outcome> {
     let result = solve(&scene, 4096, Some(0.5), 1)?;
     let l = &result.solution.ledger;
     if l.escaped.x / l.emitted.x > 1e-6 / (1.0 - ALBEDO) {
-        return Err(Error::scene("T-junctions", format!("{:.1e} of the light escaped", l.escaped.x / l.emitted.x)));
+        return Err(Error::scene(
+            "T-junctions",
+            format!("{:.1e} of the light escaped", l.escaped.x / l.emitted.x),
+        ));
     }
     compare(&result, &[("", 1.0 / (1.0 - ALBEDO))])
 }
@@ -422,4 +441,3 @@ fn million() -> Result<Outcome> {
     let scene = text.diffuse("m", ALBEDO, 1.0).load()?;
     compare(&solve(&scene, 32, None, 1)?, &[("", 1.0 / (1.0 - ALBEDO))])
 }
-

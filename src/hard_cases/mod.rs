@@ -9,6 +9,7 @@ mod geometry;
 mod transport;
 mod work;
 
+use crate::Result;
 use crate::color::Rgb;
 use crate::embree::Device;
 use crate::emitters::Emitters;
@@ -18,7 +19,6 @@ use crate::pipeline::{self, Pass1, Pass1Result};
 use crate::render;
 use crate::scene::Scene;
 use crate::visibility::Visibility;
-use crate::Result;
 use std::time::Instant;
 
 /// One case.

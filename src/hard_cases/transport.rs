@@ -28,7 +28,12 @@ pub(super) const CASES: &[Case] = &[
     case("one lit wall, albedo 1 - 1e-6", "factors that are not reciprocal", "closed form", || {
         lit_wall(1.0 - 1e-6)
     }),
-    case("two halls, one door, albedo 0.999", "balance between the halls", "the same with a fine mesh", halls),
+    case(
+        "two halls, one door, albedo 0.999",
+        "balance between the halls",
+        "the same with a fine mesh",
+        halls,
+    ),
     case("perfect white, closed", "a large number where none exists", "an error", white),
     case("black surfaces", "division by zero", "quadrature", black),
     case("no light at all", "a black picture", "an error", dark),
@@ -45,9 +50,7 @@ pub(super) const CASES: &[Case] = &[
     case("glass of ior 1", "division by zero", "furnace", || glass(1.0)),
     case("glass of ior 0.8", "reflection outside", "furnace", || glass(0.8)),
     case("glass of ior 3", "trapped light", "furnace", || glass(3.0)),
-    case("camera inside glass", "trapped light", "furnace", || {
-        glass_room(GLASS, false, [0.5, 0.5, 0.5])
-    }),
+    case("camera inside glass", "trapped light", "furnace", || glass_room(GLASS, false, [0.5, 0.5, 0.5])),
     case("lamp at grazing incidence", "cosines near zero", "quadrature", grazing),
     case("light through a keyhole", "rays miss the hole", "quadrature", keyhole),
     case("light only through glass", "no straight connection", "path tracer", || only_by(GLASS)),
@@ -112,9 +115,8 @@ fn halls() -> Result<Outcome> {
     // Each hall is nearly uniform; the balance of power of two such halls, from the door's factor, is right to
     // the share of what the door takes, 1e-2 of a wall: compare the total, which is exact: absorbed = emitted.
     let s = &result.solution;
-    let absorbed: f64 = (0..s.mesh.len())
-        .map(|e| s.mesh.area(e as u32) * s.irradiance[e].x * (1.0 - albedo))
-        .sum();
+    let absorbed: f64 =
+        (0..s.mesh.len()).map(|e| s.mesh.area(e as u32) * s.irradiance[e].x * (1.0 - albedo)).sum();
     Ok(Outcome::Number {
         error: (absorbed / s.ledger.emitted.x - 1.0).abs(),
         standard_error: s.ledger.residual_error.x,
@@ -122,9 +124,7 @@ fn halls() -> Result<Outcome> {
 }
 
 fn white() -> Result<Outcome> {
-    let text = SceneText::new()
-        .cuboid("", |_| "m".into(), [0.0; 3], [1.0; 3], true)
-        .diffuse("m", 1.0, 1.0);
+    let text = SceneText::new().cuboid("", |_| "m".into(), [0.0; 3], [1.0; 3], true).diffuse("m", 1.0, 1.0);
     said(solve(&text.load()?, 100, Some(0.25), 1).map(|_| ()), &[], &["no steady state exists"])
 }
 
@@ -151,9 +151,7 @@ fn black() -> Result<Outcome> {
 }
 
 fn dark() -> Result<Outcome> {
-    let text = SceneText::new()
-        .cuboid("", |_| "m".into(), [0.0; 3], [1.0; 3], true)
-        .diffuse("m", 0.5, 0.0);
+    let text = SceneText::new().cuboid("", |_| "m".into(), [0.0; 3], [1.0; 3], true).diffuse("m", 0.5, 0.0);
     said(solve(&text.load()?, 100, Some(0.25), 1).map(|_| ()), &[], &["no light"])
 }
 
@@ -169,8 +167,11 @@ fn emissions() -> Result<Outcome> {
     }
     let scene = text.load()?;
     let result = solve(&scene, 1024, Some(0.25), 1)?;
-    let names: Vec<(String, f64)> =
-        powers.iter().enumerate().flat_map(|(k, e)| ["x0", "z1"].map(|s| (format!("{k}-{s}"), 2.0 * e))).collect();
+    let names: Vec<(String, f64)> = powers
+        .iter()
+        .enumerate()
+        .flat_map(|(k, e)| ["x0", "z1"].map(|s| (format!("{k}-{s}"), 2.0 * e)))
+        .collect();
     let answers: Vec<(&str, f64)> = names.iter().map(|(n, e)| (n.as_str(), *e)).collect();
     compare(&result, &answers)
 }
@@ -178,7 +179,13 @@ fn emissions() -> Result<Outcome> {
 /// Four furnace walls between two facing perfect mirrors.
 fn mirrors() -> Result<Outcome> {
     let text = SceneText::new()
-        .cuboid("", |s| if s.starts_with('z') { "mirror".into() } else { "m".into() }, [0.0; 3], [1.0; 3], true)
+        .cuboid(
+            "",
+            |s| if s.starts_with('z') { "mirror".into() } else { "m".into() },
+            [0.0; 3],
+            [1.0; 3],
+            true,
+        )
         .diffuse("m", 0.7, 1.0)
         .material("mirror", "diffuse = 0.0\nspecular = 1.0\nroughness = 0.0");
     let b = 1.0 / (1.0 - 0.7);
@@ -207,9 +214,10 @@ fn glass_room(body: &str, ends: bool, eye: Point) -> Result<Outcome> {
     let image = picture(&text.load()?, Method::TwoPass(Quality::Mesh), 16, (1024, Some(0.25)), 1)?;
     Ok(match departure(&image, 2.0 / PI) {
         // Single pixels carry the noise of Russian roulette and of pass 1: the mean must hold to 1 %, pixels to 10 %.
-        Outcome::Number { error, .. } => {
-            Outcome::Number { error: (mean(&image) / (2.0 / PI) - 1.0).abs().max(0.1 * error), standard_error: 0.0 }
-        }
+        Outcome::Number { error, .. } => Outcome::Number {
+            error: (mean(&image) / (2.0 / PI) - 1.0).abs().max(0.1 * error),
+            standard_error: 0.0,
+        },
         said => said,
     })
 }
@@ -302,9 +310,13 @@ fn only_by(material: &str) -> Result<Outcome> {
         .material("special", material);
     if glass {
         // A lamp in a black box that a slab of glass closes.
-        text = text
-            .polygon("lamp", "lamp", &plate([0.4, 0.6], [0.4, 0.6], 0.9, false))
-            .cuboid("slab-", |_| "special".into(), [0.25, 0.25, 0.6], [0.5, 0.5, 0.1], false);
+        text = text.polygon("lamp", "lamp", &plate([0.4, 0.6], [0.4, 0.6], 0.9, false)).cuboid(
+            "slab-",
+            |_| "special".into(),
+            [0.25, 0.25, 0.6],
+            [0.5, 0.5, 0.1],
+            false,
+        );
         for (side, p) in box_sides([0.3, 0.3, 0.7], [0.4, 0.4, 0.25], true) {
             if side != "z0" {
                 text = text.polygon("case", "black", &p);

@@ -59,10 +59,7 @@ fn million_rays() -> Result<Outcome> {
 }
 
 fn room(head: &str) -> SceneText {
-    SceneText::new()
-        .head(head)
-        .cuboid("", |_| "m".into(), [0.0; 3], [1.0; 3], true)
-        .diffuse("m", 0.5, 1.0)
+    SceneText::new().head(head).cuboid("", |_| "m".into(), [0.0; 3], [1.0; 3], true).diffuse("m", 0.5, 1.0)
 }
 
 fn image([width, height]: [u32; 2]) -> Result<Outcome> {

@@ -83,6 +83,10 @@ pub(super) fn solve(
         }
         iterations += bi_cgstab(&apply, &mut x, r, &done, MOST_STEPS / 4);
     }
+    // One more bounce of what is not negative: no dark element keeps a negative rest of the solver's.
+    x.iter_mut().for_each(|x| *x = x.max(Rgb::ZERO));
+    let gathered = exchange.gather(&transport.reflect(&x));
+    x = incident.iter().zip(&gathered).map(|(a, b)| *a + *b).collect();
     let r = subtract(incident, &apply(&x));
     let (residual, error_bound) = (relative(&r, norm), bound.relative(&x, &r));
     let error = if error_bound.is_finite() { error_bound } else { residual };

@@ -101,11 +101,8 @@ impl Replicas {
                     .enumerate()
                     .map(|(b, e)| {
                         // What meets no element leaves the scene, as far as anything does.
-                        let escaped =
-                            if s.escaped.x > 0.0 { mean_sum - sums[b] } else { Rgb::ZERO };
-                        *e * if closed { close[b] } else { 1.0 }
-                            + (sources.own)(row, b)
-                            + escaped * outside
+                        let escaped = if s.escaped.x > 0.0 { mean_sum - sums[b] } else { Rgb::ZERO };
+                        *e * if closed { close[b] } else { 1.0 } + (sources.own)(row, b) + escaped * outside
                     })
                     .collect();
                 let mean = estimates.iter().sum::<Rgb>() / batches as f64;
@@ -199,7 +196,8 @@ impl Replicas {
         }
         sums.into_iter()
             .map(|((object, back), (area, radiosity, differences))| {
-                let variance = differences.iter().map(|d| (*d / area) * (*d / area)).sum::<Rgb>() * self.scale;
+                let variance =
+                    differences.iter().map(|d| (*d / area) * (*d / area)).sum::<Rgb>() * self.scale;
                 ObjectRadiosity {
                     object,
                     name: scene.objects[object as usize].clone(),
@@ -247,7 +245,8 @@ fn neighbours(scene: &Scene, mesh: &Mesh, element: u32, mut found: impl FnMut(u3
     for k in element.saturating_sub(AROUND)..(element + AROUND + 1).min(mesh.len() as u32) {
         let (other, side, _) = mesh.place(k);
         let f = &scene.faces[other as usize];
-        let similar = f.object == object && side == front && f.normal.dot(scene.faces[face as usize].normal) > 0.9;
+        let similar =
+            f.object == object && side == front && f.normal.dot(scene.faces[face as usize].normal) > 0.9;
         if k == element || similar {
             found(k);
         }

@@ -31,7 +31,8 @@ pub(super) struct Cut {
 pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, emits: &[bool]) -> Cut {
     let mut result = Cut::default();
     let used = || faces.iter().flat_map(|f| f.vertices).map(|v| points[v as usize]);
-    let (low, high) = (used().fold(DVec3::INFINITY, DVec3::min), used().fold(DVec3::NEG_INFINITY, DVec3::max));
+    let (low, high) =
+        (used().fold(DVec3::INFINITY, DVec3::min), used().fold(DVec3::NEG_INFINITY, DVec3::max));
     let (center, radius) = (0.5 * low + 0.5 * high, 0.5 * (high - low).length());
     let mut polygon_area: HashMap<u32, f64> = HashMap::new();
     for f in faces.iter() {
@@ -265,11 +266,7 @@ mod tests {
     }
 
     fn total(faces: &[Face], points: &[DVec3], object: u32) -> f64 {
-        faces
-            .iter()
-            .filter(|f| f.object == object)
-            .map(|f| polygon::area_vector(&corners(f, points)).z)
-            .sum()
+        faces.iter().filter(|f| f.object == object).map(|f| polygon::area_vector(&corners(f, points)).z).sum()
     }
 
     #[test]

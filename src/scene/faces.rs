@@ -291,8 +291,12 @@ impl Builder {
         let center = 0.5 * low + 0.5 * high;
         vertices.iter_mut().for_each(|v| *v -= center);
         self.faces.iter_mut().for_each(|face| measure(face, &vertices));
-        let too_small: Vec<u32> =
-            self.faces.iter().filter(|f| !survives_single_precision(f, &vertices)).map(|f| f.object).collect();
+        let too_small: Vec<u32> = self
+            .faces
+            .iter()
+            .filter(|f| !survives_single_precision(f, &vertices))
+            .map(|f| f.object)
+            .collect();
         let what = "too small or thin for single precision in a scene of this size: rays may miss";
         warnings.extend(self.named(&too_small, what));
         Ok(Geometry {

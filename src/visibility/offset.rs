@@ -53,8 +53,7 @@ pub(super) fn offsets(scene: &Scene) -> (Vec<Offset>, bool) {
         closed &= edges.len() > 1;
         for (k, &(_, face, edge)) in edges.iter().enumerate() {
             for &(_, other, other_edge) in edges[..k].iter().filter(|e| e.1 != face) {
-                let (a, b) =
-                    (inward(scene, face, edge as usize), inward(scene, other, other_edge as usize));
+                let (a, b) = (inward(scene, face, edge as usize), inward(scene, other, other_edge as usize));
                 // cot(angle / 2) = |a + b| / |a - b| of unit vectors.
                 let cot = (a + b).length() / (a - b).length().max(1e-12);
                 let lift = offsets[face as usize].lift.max(offsets[other as usize].lift);

@@ -20,14 +20,20 @@ use rayon::prelude::*;
 const STEPS: u32 = 12;
 /// Distinct particles that must find a side: one that slipped through a crack proves nothing.
 const PROOF: u32 = 3;
-/// Segments tried from each side that no particle found.
-const SEGMENTS: u32 = 64;
+/// Rays tried from all sides that no particle found, and the least and most from one.
+const RAYS: u32 = 1 << 20;
+const RAYS_OF_ONE: (u32, u32) = (8, 64);
+/// Segments tried from all sides that no particle found, and the least and most from one.
+const SEGMENTS: u32 = 1 << 22;
+const SEGMENTS_OF_ONE: (u32, u32) = (16, 1 << 14);
 /// Points that segments lead to, at most.
 const MOST_WITNESSES: usize = 1 << 16;
 /// Segments closer to a surface than this cosine prove nothing.
 const GRAZING: f64 = 1e-4;
 /// Most particles, where few found something.
 const MOST_PARTICLES: u32 = 1 << 21;
+/// Times that sides just found lead on to others.
+const MOST_ROUNDS: u32 = 4;
 /// Witnesses tried from the point where a ray from such a side lands.
 const STEPPING_STONES: u32 = 4;
 
@@ -101,13 +107,7 @@ pub fn reachable_sides(visibility: &Visibility, cameras: &[(CameraFrame, [u32; 2
 }
 
 /// Adds the sides from which some segment to a point that was found, or a ray to the outside, is free.
-fn connect(
-    visibility: &Visibility,
-    reached: &mut Vec<bool>,
-    seen: &[(u32, DVec3)],
-    outside: bool,
-    seed: u32,
-) {
+fn connect(visibility: &Visibility, reached: &mut [bool], seen: &[(u32, DVec3)], outside: bool, seed: u32) {
     let scene = visibility.scene();
     // Points as particles found them, not one a side: a finely divided object would provide them all.
     let stride = seen.len().div_ceil(MOST_WITNESSES).max(1);
@@ -121,43 +121,74 @@ fn connect(
             Place { face, point: *p, normal }
         })
         .collect();
-    *reached = (0..reached.len())
-        .into_par_iter()
-        .map(|s| reached[s] || connects(visibility, s as u32, &witnesses, outside, seed))
-        .collect();
+    let mut witnesses = witnesses;
+    for _ in 0..MOST_ROUNDS {
+        let missing = reached.iter().filter(|r| !**r).count().max(1) as u32;
+        let segments = (SEGMENTS / missing).clamp(SEGMENTS_OF_ONE.0, SEGMENTS_OF_ONE.1);
+        let rays = (RAYS / missing).clamp(RAYS_OF_ONE.0, RAYS_OF_ONE.1);
+        let work = Work { rays, segments, outside };
+        let news: Vec<(usize, Place)> = (0..reached.len())
+            .into_par_iter()
+            .filter(|&s| !reached[s])
+            .filter_map(|s| {
+                let place = connects(visibility, s as u32, &witnesses, &work, seed)?;
+                Some((s, place))
+            })
+            .collect();
+        if news.is_empty() {
+            return;
+        }
+        // What was found only now shows the way to others.
+        for (s, place) in news {
+            reached[s] = true;
+            witnesses.push(place);
+        }
+    }
 }
 
-/// Whether some segment from a side to a witness, or a ray to the outside, is free.
+/// What is tried from one side that no particle found.
+struct Work {
+    rays: u32,
+    segments: u32,
+    /// Light comes from outside: a ray that leaves the scene is proof.
+    outside: bool,
+}
+
+/// A point of a side from which some segment to a witness, or a ray to the outside, is free.
 fn connects(
     visibility: &Visibility,
     side: u32,
     witnesses: &[Place],
-    outside: bool,
+    work: &Work,
     seed: u32,
-) -> bool {
+) -> Option<Place> {
     let scene = visibility.scene();
     let face = &scene.faces[side as usize / 2];
     let normal = face.normal * if side % 2 == 0 { 1.0 } else { -1.0 };
     let (p0, e1, e2) = scene.face_frame(face);
-    (0..SEGMENTS).any(|k| {
+    (0..work.segments.max(work.rays)).find_map(|k| {
         let p = sobol(k, 0, seed_of(&[seed, side, 0xc0]));
         let (u, v) = if face.is_triangle() { sampling::triangle(p[0], p[1]) } else { (p[0], p[1]) };
         let (u, v) = visibility.inside(side / 2, u, v);
         let here = Place { face: side / 2, point: p0 + u * e1 + v * e2, normal };
+        if k >= work.rays {
+            return free(visibility, &here, witnesses, p[2]).then_some(here);
+        }
         let origin = visibility.leave(here.face, here.point, normal);
         let q = sobol(k, 0, seed_of(&[seed, side, 0xc1]));
         let d = Frame::new(normal).to_scene(cosine_hemisphere(q[0], q[1])).as_vec3();
         if free(visibility, &here, witnesses, p[2]) {
-            return true;
+            return Some(here);
         }
-        let Some(hit) = visibility.closest(origin, d, side / 2) else { return outside };
+        let Some(hit) = visibility.closest(origin, d, side / 2) else { return work.outside.then_some(here) };
         // Most witnesses may lie behind a small face: from where its light goes, they can be seen.
         let stone = visibility.point(&hit);
         let stone = Place { face: stone.face, point: stone.point, normal: stone.geometric };
-        (0..STEPPING_STONES).any(|i| {
+        let seen = (0..STEPPING_STONES).any(|i| {
             let r = (q[2] + f64::from(i) / f64::from(STEPPING_STONES)).fract();
             free(visibility, &stone, witnesses, r)
-        })
+        });
+        seen.then_some(here)
     })
 }
 
