@@ -201,3 +201,26 @@ fn mean(image: &Image) -> f64 {
     }
     crate::color::mean(sum / n)
 }
+
+/// The suite as a Markdown table: case, what breaks elsewhere, where the answer comes from, error, standard error, time.
+pub fn table(rows: &[(Case, Measured)]) -> String {
+    let mut text = String::from(
+        "| case | what breaks elsewhere | answer from | error | standard error | time |\n|---|---|---|---:|---:|---:|\n",
+    );
+    for (case, m) in rows {
+        let verdict = if case.passes(m) { "" } else { " **fails**" };
+        let percent = |x: f64| if x == 0.0 { "-".into() } else { format!("{:.2} %", 100.0 * x) };
+        let (error, standard_error) = match &m.outcome {
+            Ok(Outcome::Number { error, standard_error }) => {
+                (format!("{:.3} %", 100.0 * error), percent(*standard_error))
+            }
+            Ok(Outcome::Said(_)) => ("said so".into(), "-".into()),
+            Err(message) => (message.replace('|', "/"), "-".into()),
+        };
+        text += &format!(
+            "| {} | {} | {} | {error}{verdict} | {standard_error} | {:.2} s |\n",
+            case.name, case.breaks, case.answer, m.seconds
+        );
+    }
+    text
+}
