@@ -228,7 +228,7 @@ impl Builder {
         self.faces.push(face);
     }
 
-    /// `{n} faces {what} (object "a": 2, object "b": 1)` of one object number a face.
+    /// `{n} faces are {what} (object "a": 2, object "b": 1)` of one object number a face.
     fn named(&self, objects: &[u32], what: &str) -> Option<String> {
         let mut counts: Vec<(u32, usize)> = Vec::new();
         for &object in objects {
@@ -245,7 +245,7 @@ impl Builder {
         if counts.len() > parts.len() {
             parts.push("...".into());
         }
-        let faces = if objects.len() == 1 { "face" } else { "faces" };
+        let faces = if objects.len() == 1 { "face is" } else { "faces are" };
         (!objects.is_empty()).then(|| format!("{} {faces} {what} ({})", objects.len(), parts.join(", ")))
     }
 
