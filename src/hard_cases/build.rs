@@ -178,7 +178,7 @@ pub fn sphere(radius: f64, n: usize, inside: bool) -> Vec<Vec<Point>> {
     faces
 }
 
-/// A turn by `angle` [radians] about a unit axis (Rodrigues).
+/// A turn by `angle` (in radians) about a unit axis (Rodrigues).
 pub fn turned(axis: Point, angle: f64) -> impl Fn(Point) -> Point {
     let (s, c) = angle.sin_cos();
     move |p| {

@@ -65,9 +65,9 @@ pub(super) fn solve(
         ));
     }
     let apply = |x: &[Rgb]| residual_operator(|y| exchange.gather(y), transport, x);
-    let bound = Bound::new(&apply, n);
+    let bound = Bound::new(apply, n);
     let mut iterations = bound.bounces + 2;
-    let start = balanced(&apply, incident, incident.to_vec());
+    let start = balanced(apply, incident, incident.to_vec());
     let norm = dot(incident, incident).map(f64::sqrt);
     let done = |x: &[Rgb], r: &[Rgb]| match bound.relative(x, r) {
         e if e.is_finite() => e <= tolerance,
@@ -81,7 +81,7 @@ pub(super) fn solve(
         if done(&x, &r) {
             break;
         }
-        iterations += bi_cgstab(&apply, &mut x, r, &done, MOST_STEPS / 4);
+        iterations += bi_cgstab(apply, &mut x, r, done, MOST_STEPS / 4);
     }
     // One more bounce of what is not negative: no dark element keeps a negative rest of the solver's.
     x.iter_mut().for_each(|x| *x = x.max(Rgb::ZERO));

@@ -1,5 +1,5 @@
 //! Every visibility question: the only caller of Embree, and the one place that decides where rays start and which of
-//! their hits count ([`offset`] gives the reasons).
+//! their hits count (`offset.rs` gives the reasons).
 
 mod offset;
 mod reach;
