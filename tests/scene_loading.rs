@@ -214,7 +214,7 @@ fn obj_reads_what_real_files_hold() {
     assert_eq!((scene.faces.len(), scene.triangle_count, scene.polygon_count), (3, 2, 3));
     // The weighted vertex is (2, 2, 1).
     assert_eq!((scene.center * 2.0).to_array(), [2.0, 2.0, 1.0]);
-    assert!((area(&scene) - (1.0 + 1.0 + 0.5 * 1.0)).abs() < 1e-12, "{}", area(&scene));
+    assert!((area(&scene) - (1.0 + 0.5 * 5f64.sqrt() + 0.5 * 2f64.sqrt())).abs() < 1e-12, "{}", area(&scene));
     assert_warning(&scene, &["2 point and line elements"]);
 }
 
