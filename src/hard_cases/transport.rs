@@ -274,7 +274,7 @@ fn grazing() -> Result<Outcome> {
 
 /// A black chamber with a bright end wall and a small hole; what falls through onto a screen beyond.
 fn keyhole() -> Result<Outcome> {
-    let h = 5e-3;
+    let h = 0.02;
     let (a, b) = (0.5 - h, 0.5 + h);
     let mut text = SceneText::new();
     for (side, p) in box_sides([0.0; 3], [1.0; 3], true) {
@@ -295,7 +295,7 @@ fn keyhole() -> Result<Outcome> {
         .diffuse("grey", 0.5, 0.0)
         .diffuse("black", 0.0, 0.0)
         .diffuse("lamp", 0.0, 1.0);
-    solved(&text, 16_384, Some(0.05), &[("screen", exact)])
+    solved(&text, 65_536, Some(0.05), &[("screen", exact)])
 }
 
 /// A lamp in a black box that is open to the room only by a slab of glass, or shines at a mirror only.
