@@ -9,12 +9,14 @@ use crate::color::{self, Rgb};
 use crate::mesh::side_index;
 use crate::sampling;
 use crate::scene::Scene;
-use crate::visibility::{OFFSET, Visibility};
+use crate::visibility::Visibility;
 use glam::{DVec3, Vec3};
 use std::f64::consts::PI;
 
 /// With more mirror planes than this (a faceted ball, say) images are not worth their cost.
 const MAX_MIRRORS: usize = 32;
+/// A receiver this near to a mirror's plane, as a share of the scene's radius, is part of it.
+const ON_MIRROR: f64 = 1e-9;
 const NONE: u32 = u32::MAX;
 
 /// All emitting sides of a scene, and the planes of its flat mirrors.
@@ -165,7 +167,7 @@ impl Emitters {
             let (a, b) =
                 (mirror.normal.dot(point) - mirror.offset, mirror.normal.dot(sample.point) - mirror.offset);
             // Both in front, or both behind; a point of the mirror itself sees no image in it.
-            if a * b <= 0.0 || a.abs() < 2.0 * OFFSET * scene.radius {
+            if a * b <= 0.0 || a.abs() < ON_MIRROR * scene.radius {
                 continue;
             }
             let flip = -2.0 * mirror.normal.dot(sample.normal);
@@ -200,8 +202,8 @@ impl Emitters {
     ) -> bool {
         let n = v.scene().faces[face as usize].normal;
         let side = if n.dot(origin.as_dvec3() - window) > 0.0 { n } else { -n };
-        v.unoccluded(&v.segment(origin, window, side))
-            && v.unoccluded(&v.segment(v.leave(window, side), s.point, s.normal))
+        v.unoccluded(&v.segment(origin, face, window, side))
+            && v.unoccluded(&v.segment(v.leave(face, window, side), s.face, s.point, s.normal))
     }
 }
 

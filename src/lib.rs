@@ -45,6 +45,7 @@ pub mod emitters;
 pub mod error;
 pub mod form_factor;
 pub mod geometry;
+pub mod hard_cases;
 pub mod image;
 pub mod mesh;
 pub mod output;

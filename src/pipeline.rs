@@ -176,7 +176,7 @@ pub fn solve(
         }
         (Ok((matrix, light)), rays)
     })?;
-    stage("solve", 0, observer, stages, || (finish(scene, mesh, &matrix, emitters, light), 0))
+    stage("solve", 0, observer, stages, || (finish(visibility, mesh, &matrix, emitters, light), 0))
 }
 
 /// Directional radiosity of a scene that is ready for rays, with about `directions` cells a hemisphere: the method
@@ -238,12 +238,13 @@ fn particles_per_batch(elements: usize, rays: u32, batches: u32) -> u32 {
 }
 
 fn finish(
-    scene: &Scene,
+    visibility: &Visibility,
     mesh: Mesh,
     matrix: &ExchangeMatrix,
     emitters: &Emitters,
     light: EmitterLight,
 ) -> Result<Pass1Result> {
+    let scene = visibility.scene();
     let keep = |e: u32| {
         let material = scene.material(&scene.faces[mesh.place(e).0 as usize]);
         if material.is_specular() { pass_on(material) } else { Rgb::ZERO }
@@ -256,7 +257,7 @@ fn finish(
         covered: if area > 0.0 { 1.0 - open / area } else { 0.0 },
         dropped: matrix.summary.iter().map(|s| s.dropped.max_element()).fold(0.0, f64::max),
     };
-    let mut warnings = Vec::new();
+    let mut warnings = visibility.warnings();
     if mesh.is_empty() {
         warnings.push("no diffuse surface can be reached by light or a camera: pass 1 is empty".into());
     }
@@ -267,5 +268,6 @@ fn finish(
         ));
     }
     let solution = radiosity::solve(scene, mesh, matrix, emitters, light, TOLERANCE)?;
+    warnings.extend(radiosity::warnings(scene, &solution, matrix));
     Ok(Pass1Result { solution, residuals, stored: matrix.stored(), matrix_bytes: matrix.bytes(), warnings })
 }

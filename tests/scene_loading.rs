@@ -205,16 +205,16 @@ fn damaged_bytes_are_an_error_and_never_a_panic() {
 #[test]
 fn obj_reads_what_real_files_hold() {
     let text = "\u{feff}# comment\r\n\to first\r\nv 0 0 0 # origin\r\nv\t1 0\t0\r\nv 1 1 0#corner\r\nv 0 1 0 1 0 0\r\n\
-                v 4 4 0 2\r\nusemtl\tred paint\r\nf 1 2 \\\r\n 3 4 # square\r\nl 1 2 3\r\np 1\r\ns 1\r\n\
+                v 4 4 2 2\r\nusemtl\tred paint\r\nf 1 2 \\\r\n 3 4 # square\r\nl 1 2 3\r\np 1\r\ns 1\r\n\
                 f -5 -4 -1\r\ng second # half\r\ng empty\r\no first\r\nf 2 5 3";
     let scene = load_obj(text).unwrap();
     assert_eq!(scene.objects, ["first"]);
     assert_eq!(scene.materials.len(), 1);
     assert_eq!(scene.materials[0].name, "red paint");
     assert_eq!((scene.faces.len(), scene.triangle_count, scene.polygon_count), (3, 2, 3));
-    // The weighted vertex is (2, 2, 0).
-    assert_eq!((scene.center * 2.0).to_array(), [2.0, 2.0, 0.0]);
-    assert!((area(&scene) - (1.0 + 1.0 + 0.5 * 1.0)).abs() < 1e-12, "{}", area(&scene));
+    // The weighted vertex is (2, 2, 1).
+    assert_eq!((scene.center * 2.0).to_array(), [2.0, 2.0, 1.0]);
+    assert!((area(&scene) - (1.0 + 0.5 * 5f64.sqrt() + 0.5 * 2f64.sqrt())).abs() < 1e-12, "{}", area(&scene));
     assert_warning(&scene, &["2 point and line elements"]);
 }
 

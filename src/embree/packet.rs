@@ -87,6 +87,14 @@ impl RayPacket {
         }
     }
 
+    /// Multiplies lengths by a power of two.
+    pub(super) fn rescale(&mut self, scale: f32) {
+        let r = &mut self.query.ray;
+        for lanes in [&mut r.org_x, &mut r.org_y, &mut r.org_z, &mut r.tnear, &mut r.tfar] {
+            lanes.iter_mut().for_each(|x| *x *= scale);
+        }
+    }
+
     /// Makes every lane inactive.
     #[inline]
     pub fn clear(&mut self) {
@@ -137,6 +145,14 @@ impl ShadowPacket {
         assert!(lane < LANES);
         set_lane!(&mut self.query, lane, ray);
         self.valid.0[lane] = -i32::from(ray.is_valid());
+    }
+
+    /// Multiplies lengths by a power of two.
+    pub(super) fn rescale(&mut self, scale: f32) {
+        let r = &mut self.query;
+        for lanes in [&mut r.org_x, &mut r.org_y, &mut r.org_z, &mut r.tnear, &mut r.tfar] {
+            lanes.iter_mut().for_each(|x| *x *= scale);
+        }
     }
 
     /// Makes every lane inactive.

@@ -19,6 +19,8 @@ const LARGEST_COORDINATE: f32 = 1.8e18;
 pub struct CommittedScene {
     scene: NonNull<sys::RTCSceneTy>,
     triangle_count: u32,
+    /// What coordinates are multiplied by on their way to Embree: 1 but for tiny scenes.
+    scale: f32,
     /// Declared after what `drop` releases: Embree's device goes last.
     _device: Device,
 }
@@ -57,12 +59,20 @@ impl CommittedScene {
             return Err(Error::Embree("new scene: no scene".into()));
         };
         // From here on `drop` releases the scene, whichever way this function ends.
-        let committed = CommittedScene { scene, triangle_count, _device: device.clone() };
+        let scale = scale_of(vertices);
+        let committed = CommittedScene { scene, triangle_count, scale, _device: device.clone() };
         // SAFETY: the scene handle is live and nobody else has it yet.
         unsafe {
             sys::rtcSetSceneFlags(scene.as_ptr(), sys::RTC_SCENE_FLAG_ROBUST);
             sys::rtcSetSceneBuildQuality(scene.as_ptr(), sys::RTC_BUILD_QUALITY_HIGH);
         }
+        let scaled: Vec<[f32; 3]>;
+        let vertices = if scale == 1.0 {
+            vertices
+        } else {
+            scaled = vertices.iter().map(|v| v.map(|x| x * scale)).collect();
+            &scaled
+        };
         committed.attach(device, 0, sys::RTC_GEOMETRY_TYPE_TRIANGLE, vertices, triangles)?;
         committed.attach(device, 1, sys::RTC_GEOMETRY_TYPE_QUAD, vertices, quads)?;
         // SAFETY: the scene handle is live and still ours alone.
@@ -114,7 +124,7 @@ impl CommittedScene {
         if !ray.is_valid() {
             return None;
         }
-        let mut query = sys::RTCRayHit { ray: ray.to_raw(), hit: sys::RTCHit::default() };
+        let mut query = sys::RTCRayHit { ray: self.scaled(ray).to_raw(), hit: sys::RTCHit::default() };
         query.hit.geomID = MISS;
         // SAFETY: the scene is committed, and `query` is a whole, aligned RTCRayHit of the
         // installed headers.
@@ -124,8 +134,15 @@ impl CommittedScene {
             face: hit.primID + hit.geomID * self.triangle_count,
             u: hit.u,
             v: hit.v,
-            t: query.ray.tfar,
+            t: query.ray.tfar / self.scale,
         })
+    }
+
+    /// A ray in Embree's coordinates: its direction stays, so distances grow with them.
+    #[inline]
+    fn scaled(&self, ray: &Ray) -> Ray {
+        let s = self.scale;
+        Ray { origin: ray.origin * s, tnear: ray.tnear * s, tfar: ray.tfar * s, ..*ray }
     }
 
     /// Whether any face lies on the ray between `tnear` and `tfar`.
@@ -134,7 +151,7 @@ impl CommittedScene {
         if !ray.is_valid() {
             return false;
         }
-        let mut query = ray.to_raw();
+        let mut query = self.scaled(ray).to_raw();
         // SAFETY: the scene is committed, and `query` is a whole, aligned RTCRay.
         unsafe { sys::twopass_occluded1(self.scene.as_ptr(), &mut query) };
         query.tfar == f32::NEG_INFINITY
@@ -147,6 +164,9 @@ impl CommittedScene {
     #[inline]
     pub fn intersect16(&self, packet: &mut RayPacket, coherent: bool) {
         packet.triangle_count = self.triangle_count;
+        if self.scale != 1.0 {
+            packet.rescale(self.scale);
+        }
         // SAFETY: the scene is committed; the mask and the RTCRayHit16 are whole, and 64-byte
         // aligned by their types.
         unsafe {
@@ -157,11 +177,17 @@ impl CommittedScene {
                 i32::from(coherent),
             );
         }
+        if self.scale != 1.0 {
+            packet.rescale(1.0 / self.scale);
+        }
     }
 
     /// Which active lanes of a packet are blocked: bit `i` for lane `i`.
     #[inline]
     pub fn occluded16(&self, packet: &mut ShadowPacket, coherent: bool) -> u16 {
+        if self.scale != 1.0 {
+            packet.rescale(self.scale);
+        }
         // SAFETY: the scene is committed; the mask and the RTCRay16 are whole, and 64-byte
         // aligned by their types.
         unsafe {
@@ -172,8 +198,23 @@ impl CommittedScene {
                 i32::from(coherent),
             );
         }
-        packet.blocked()
+        let blocked = packet.blocked();
+        if self.scale != 1.0 {
+            packet.rescale(1.0 / self.scale);
+        }
+        blocked
     }
+}
+
+/// Embree takes (u, v) as 0 where twice a face's area is below 1e-18: scenes smaller than a centimetre
+/// grow to a kilometre, by a power of two, which changes no digit.
+fn scale_of(vertices: &[[f32; 3]]) -> f32 {
+    let largest = vertices.iter().flatten().fold(0f32, |m, x| m.max(x.abs()));
+    if largest >= 1.0 / 128.0 || largest == 0.0 {
+        return 1.0;
+    }
+    // Beyond 2^120 the scale itself would leave the range of single precision.
+    (10.0 - largest.log2().floor()).min(120.0).exp2()
 }
 
 /// Copies `items` into a new buffer of the geometry; false where Embree gives none.

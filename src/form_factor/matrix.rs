@@ -120,6 +120,12 @@ impl ExchangeMatrix {
             .collect()
     }
 
+    /// Row `row` times `x` from one independent randomisation, an estimate of the whole.
+    pub fn multiply_batch(&self, row: usize, batch: usize, x: &[Rgb]) -> Rgb {
+        let k = row * self.batches + batch;
+        self.dot(self.start[k] as usize, self.start[k + 1] as usize, x) * self.batches as f64
+    }
+
     #[inline]
     fn dot(&self, a: usize, b: usize, x: &[Rgb]) -> Rgb {
         if self.channels == 1 {

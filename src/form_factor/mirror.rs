@@ -182,12 +182,12 @@ impl Images<'_, '_> {
         let (mut entry, mut side) = (start, normal);
         for _ in 0..MOST_IMAGES {
             let (origin, along) = (copy.point(start), copy.turn * direction);
-            let leave = self.visibility.leave(entry, side);
+            let leave = self.visibility.leave(from, entry, side);
             row.rays += 1;
             let crossing = self.crossing(origin, along, entry);
             if let Some((window, at)) = crossing {
                 let facing = window.normal * if window.normal.dot(along) < 0.0 { 1.0 } else { -1.0 };
-                if self.visibility.unoccluded(&self.visibility.segment(leave, at, facing)) {
+                if self.visibility.unoccluded(&self.visibility.segment(leave, window.face, at, facing)) {
                     // The mirror's own diffuse part is met on its surface.
                     self.count(window.face, facing == window.normal, at, weight, sums);
                     let left = weight * window.albedo;

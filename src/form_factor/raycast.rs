@@ -418,6 +418,11 @@ impl Shared<'_, '_> {
                 for (w, v) in scratch.weight[k..k + self.channels].iter_mut().zip(link.weight.to_array()) {
                     *w += v as f32;
                 }
+                let material = scene.material(&scene.faces[link.hit.face as usize]);
+                if !material.is_diffuse() && !material.is_specular() {
+                    // A black emitter has elements: what it absorbs is counted there.
+                    absorbed -= link.weight;
+                }
             } else {
                 let material = scene.material(&scene.faces[link.hit.face as usize]);
                 if material.is_diffuse() && (link.hit.front || material.two_sided) {

@@ -30,12 +30,12 @@ impl Source {
         let (face, _, cell) = mesh.place(element);
         let (p0, e1, e2) = scene.face_frame(&scene.faces[face as usize]);
         let grid = mesh.grid(face);
-        let (o, a, b) = grid.cell_frame(cell);
+        let (o, a, b) = visibility.inside_cell(face, grid.cell_frame(cell));
         let normal = mesh.normal(scene, element);
         let frame = Frame::new(normal);
         let edge = |d: glam::DVec2| (d.x * e1 + d.y * e2).as_vec3();
         Source {
-            origin: visibility.leave(p0 + o.x * e1 + o.y * e2, normal),
+            origin: visibility.leave(face, p0 + o.x * e1 + o.y * e2, normal),
             a: edge(a),
             b: edge(b),
             x: frame.x.as_vec3(),

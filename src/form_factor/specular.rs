@@ -121,7 +121,7 @@ impl<'a, 's> Chains<'a, 's> {
             passage = if passage == Passage::Straight && image { Passage::Image } else { Passage::Chain };
             direction = s.direction;
             let side = if s.transmitted { -at.geometric } else { at.geometric };
-            let from = self.visibility.leave(at.point, side);
+            let from = self.visibility.leave(at.face, at.point, side);
             end.rays += 1;
             let Some(next) = self.visibility.closest(from, direction.as_vec3(), at.face) else {
                 end.escaped = weight;

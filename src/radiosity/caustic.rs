@@ -139,7 +139,7 @@ impl Tracer<'_, '_> {
             let choose = sobol(k, 0, seed_of(&[seed, 1]))[0];
             let Some(s) = self.emitters.sample(scene, [choose, p[0], p[1]]) else { break };
             let direction = Frame::new(s.normal).to_scene(cosine_hemisphere(p[2], p[3])).as_vec3();
-            let origin = self.visibility.leave(s.point, s.normal);
+            let origin = self.visibility.leave(s.face, s.point, s.normal);
             cast += 1;
             let Some(hit) = self.visibility.closest(origin, direction, s.face) else { continue };
             if !scene.material(&scene.faces[hit.face as usize]).is_specular() {

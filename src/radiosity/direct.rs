@@ -64,6 +64,7 @@ impl Sampler<'_, '_> {
         for k in 0..count {
             let (p, q) = (sobol(k, 0, seed), sobol(k, 1, seed));
             let uv = grid.cell_point(&frame, p[0], p[1]);
+            let uv = glam::DVec2::from(self.visibility.inside(face, uv.x, uv.y));
             let point = p0 + uv.x * e1 + uv.y * e2;
             let Some(sample) = self.emitters.sample(scene, [q[0], p[2], p[3]]) else { break };
             let share = |c: &crate::emitters::Connection| {
@@ -75,8 +76,8 @@ impl Sampler<'_, '_> {
                 )
             };
             if let Some(c) = connect(point, normal, &sample) {
-                let origin = self.visibility.leave(point, normal);
-                packet.set(used, &self.visibility.segment(origin, sample.point, sample.normal));
+                let origin = self.visibility.leave(face, point, normal);
+                packet.set(used, &self.visibility.segment(origin, sample.face, sample.point, sample.normal));
                 pending[used] = c.irradiance * share(&c);
                 used += 1;
                 if used == 16 {
@@ -85,7 +86,7 @@ impl Sampler<'_, '_> {
                 }
             }
             if self.emitters.has_images() {
-                let origin = self.visibility.leave(point, normal);
+                let origin = self.visibility.leave(face, point, normal);
                 self.emitters.images(scene, point, normal, &sample, |mirror, window, c| {
                     if self.emitters.image_visible(self.visibility, origin, mirror, window, &sample) {
                         sum.add(Passage::Image, c.irradiance * share(&c));

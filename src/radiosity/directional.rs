@@ -330,7 +330,7 @@ impl Tracer<'_, '_> {
                 let uv = grid.cell_point(&place, p[0], p[1]);
                 let d = self.direction(element, c);
                 let direction = tangents.x * d.x + tangents.y * d.y + normal * d.z;
-                let origin = self.visibility.leave(p0 + uv.x * e1 + uv.y * e2, normal);
+                let origin = self.visibility.leave(face, p0 + uv.x * e1 + uv.y * e2, normal);
                 let Some(hit) = self.visibility.closest(origin, direction.as_vec3(), face) else {
                     return Link { element: OUTSIDE, cell: 0 };
                 };

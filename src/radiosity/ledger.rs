@@ -1,5 +1,6 @@
 //! Where the power of a solved scene went.
 
+use super::uncertainty::Replicas;
 use crate::color::Rgb;
 use crate::emitters::Emitters;
 use crate::form_factor::ExchangeMatrix;
@@ -29,9 +30,12 @@ pub struct Ledger {
     pub dropped: Rgb,
     /// (emitted + environment - absorbed - escaped - dropped) / (emitted + environment).
     pub residual: Rgb,
+    /// Standard error of `residual`; NaN with a single randomisation.
+    pub residual_error: Rgb,
 }
 
 impl Ledger {
+    #[allow(clippy::too_many_arguments)] // a solution's parts, before they are one
     pub(super) fn new(
         scene: &Scene,
         mesh: &Mesh,
@@ -40,6 +44,7 @@ impl Ledger {
         emitted: &[Rgb],
         reflected: &[Rgb],
         irradiance: &[Rgb],
+        replicas: &Replicas,
     ) -> Ledger {
         let mut sum = Ledger {
             emitted: Rgb::ZERO,
@@ -49,6 +54,7 @@ impl Ledger {
             escaped: Rgb::ZERO,
             dropped: Rgb::ZERO,
             residual: Rgb::ZERO,
+            residual_error: Rgb::ZERO,
         };
         for (k, face) in scene.faces.iter().enumerate() {
             for front in [true, false] {
@@ -57,6 +63,8 @@ impl Ledger {
                 }
             }
         }
+        // Share of the irradiance of each element that ends in the sums below.
+        let mut taken = vec![Rgb::ZERO; mesh.len()];
         for e in 0..mesh.len() {
             let s = &matrix.summary[e];
             let area = mesh.area(e as u32) * s.exposed;
@@ -66,6 +74,7 @@ impl Ledger {
                 - material.diffuse_transmission
                 - crate::form_factor::pass_on(material) * f64::from(u8::from(material.is_specular()));
             sum.absorbed += area * irradiance[e] * lost;
+            taken[e] = area * (lost + material.diffuse * (s.absorbed + s.escaped + s.dropped));
             let leaving = area * (emitted[e] + reflected[e]);
             sum.absorbed_specular += leaving * s.absorbed;
             sum.escaped += leaving * s.escaped;
@@ -81,6 +90,9 @@ impl Ledger {
             ratio(difference.y, input.y),
             ratio(difference.z, input.z),
         );
+        let error = replicas.of(|h| h.iter().zip(&taken).map(|(h, t)| *h * *t).sum());
+        sum.residual_error =
+            Rgb::new(ratio(error.x, input.x), ratio(error.y, input.y), ratio(error.z, input.z));
         sum
     }
 }

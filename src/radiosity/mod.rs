@@ -3,21 +3,26 @@
 mod caustic;
 mod direct;
 mod directional;
+mod exchange;
 mod file;
 mod ledger;
 mod reconstruct;
 mod solve;
+mod trust;
+mod uncertainty;
 
 pub use caustic::{Caustic, CausticMap, trace_particles};
 pub use direct::sample_emitters;
 pub use directional::{Directional, solve_directional};
 pub use ledger::Ledger;
 pub use reconstruct::Field;
-pub use solve::{Convergence, solve_reflected};
+pub use solve::Convergence;
+pub use trust::warnings;
+pub use uncertainty::ObjectRadiosity;
 
 use crate::color::Rgb;
 use crate::emitters::Emitters;
-use crate::form_factor::{EmitterIrradiance, ExchangeMatrix};
+use crate::form_factor::{EmitterIrradiance, ExchangeMatrix, pass_on};
 use crate::mesh::{Mesh, NONE, Nodes};
 use crate::scene::Scene;
 use std::f64::consts::PI;
@@ -37,8 +42,10 @@ pub struct Solution {
     pub irradiance: Vec<Rgb>,
     /// Radiosity reflected and transmitted from light that came straight from emitters [W m^-2].
     pub direct: Vec<Rgb>,
-    /// Standard error of `radiosity` [W m^-2].
+    /// Standard error of `radiosity` [W m^-2]; NaN with a single randomisation.
     pub standard_error: Vec<Rgb>,
+    /// Means over the sides of the objects, with their standard errors.
+    pub objects: Vec<ObjectRadiosity>,
     /// Where the power went.
     pub ledger: Ledger,
     /// How the solve went.
@@ -87,7 +94,6 @@ impl Sources {
 }
 
 /// Solves for the radiosity of every element.
-///
 pub fn solve(
     scene: &Scene,
     mesh: Mesh,
@@ -130,14 +136,21 @@ pub fn solve(
         })
         .collect();
     let incident: Vec<Rgb> = sources.iter().map(Sources::total).collect();
-    let (reflected, convergence) = solve_reflected(matrix, &transport, &incident, tolerance)?;
-
-    let exchanged = matrix.multiply(&reflected);
-    let irradiance: Vec<Rgb> = incident.iter().zip(&exchanged).map(|(a, b)| *a + *b).collect();
-    let standard_error = standard_errors(matrix, &transport, &reflected, |row, batch| {
-        let e = by_batch(row, batch);
-        e.straight + e.image + e.chain + particles(row, batch)
+    let exchange = exchange::Exchange::new(matrix, |e| {
+        let material = scene.material(&scene.faces[mesh.place(e).0 as usize]);
+        if material.is_specular() { pass_on(material) } else { Rgb::ZERO }
     });
+    let (irradiance, convergence) = solve::solve(&exchange, &transport, &incident, tolerance)?;
+    let reflected = transport.reflect(&irradiance);
+    let by_source = uncertainty::BySource {
+        own: &|row, batch| {
+            let e = by_batch(row, batch);
+            e.straight + e.image + e.chain
+        },
+        particles: &particles,
+    };
+    let replicas =
+        uncertainty::Replicas::new(&exchange, &transport, &irradiance, &by_source, scene.environment);
     let emitted: Vec<Rgb> = (0..n as u32)
         .map(|e| {
             let (face, front, _) = mesh.place(e);
@@ -157,9 +170,12 @@ pub fn solve(
     let open: Vec<f64> = matrix.summary.iter().map(|s| s.exposed).collect();
     let field = |values: &[Rgb]| Field::new(&mesh, &nodes, &open, values);
     let has_caustic = chain.iter().any(|c| c.max_element() > 0.0);
+    let radiosity: Vec<Rgb> = emitted.iter().zip(&reflected).map(|(e, r)| *e + *r).collect();
     Ok(Solution {
-        ledger: Ledger::new(scene, &mesh, matrix, emitters, &emitted, &reflected, &irradiance),
-        radiosity: emitted.iter().zip(&reflected).map(|(e, r)| *e + *r).collect(),
+        ledger: Ledger::new(scene, &mesh, matrix, emitters, &emitted, &reflected, &irradiance, &replicas),
+        standard_error: replicas.by_element(scene, &mesh, &transport),
+        objects: replicas.by_object(scene, &mesh, &transport, &radiosity),
+        radiosity,
         reflected: field(&reflected),
         indirect: field(&indirect),
         caustic: has_caustic.then(|| field(&chain)),
@@ -167,7 +183,6 @@ pub fn solve(
         emitted,
         irradiance,
         direct,
-        standard_error,
         convergence,
         nodes,
         mesh,
@@ -221,51 +236,4 @@ impl Transport {
             .map(|(r, t)| (*r + *t).max_element())
             .fold(0.0, f64::max)
     }
-}
-
-/// Standard error of each element's radiosity from the spread of its randomisations: its own
-/// gathering, and in first order that of the elements it gathers from.
-fn standard_errors(
-    matrix: &ExchangeMatrix,
-    transport: &Transport,
-    reflected: &[Rgb],
-    emitted: impl Fn(usize, usize) -> Rgb + Sync,
-) -> Vec<Rgb> {
-    use rayon::prelude::*;
-    let batches = matrix.batches();
-    if batches < 2 {
-        return vec![Rgb::NAN; matrix.len()];
-    }
-    let own: Vec<Rgb> = (0..matrix.len())
-        .into_par_iter()
-        .with_min_len(64)
-        .map(|row| {
-            let estimates = matrix.multiply_batches(row, reflected);
-            let total: Vec<Rgb> = estimates.iter().enumerate().map(|(b, e)| *e + emitted(row, b)).collect();
-            let mean = total.iter().sum::<Rgb>() / batches as f64;
-            let spread = total.iter().map(|t| (*t - mean) * (*t - mean)).sum::<Rgb>();
-            spread / (batches * (batches - 1)) as f64
-        })
-        .collect();
-    let variance_of = |h: &[Rgb]| -> Vec<Rgb> {
-        (0..h.len())
-            .map(|e| {
-                let behind = match transport.opposite[e] {
-                    NONE => Rgb::ZERO,
-                    o => h[o as usize],
-                };
-                let (r, t) = (transport.reflectance[e], transport.transmittance[e]);
-                r * r * h[e] + t * t * behind
-            })
-            .collect()
-    };
-    let first = variance_of(&own);
-    // Errors of the elements gathered from are independent of each other: variances add with F^2.
-    let inherited: Vec<Rgb> = (0..matrix.len())
-        .into_par_iter()
-        .with_min_len(64)
-        .map(|row| matrix.row(row).map(|(j, f)| f * f * first[j]).sum())
-        .collect();
-    let second = variance_of(&inherited);
-    first.iter().zip(&second).map(|(a, b)| (*a + *b).map(f64::sqrt)).collect()
 }

@@ -76,7 +76,7 @@ impl Context<'_, '_> {
         sampler: Sampler,
         gather: bool,
     ) -> Rgb {
-        let origin = self.visibility.leave(at.point, side);
+        let origin = self.visibility.leave(at.face, at.point, side);
         let hemisphere = if gather { self.settings.gather_rays } else { 0 };
         let mut sum = self.light_from_emitters(at, origin, normal, sampler, hemisphere);
         if gather {
@@ -109,7 +109,7 @@ impl Context<'_, '_> {
             let u = sampler.split(1, k, count);
             let Some(sample) = self.emitters.sample(self.scene, [u[2], u[0], u[1]]) else { break };
             if let Some(c) = connect(at.point, normal, &sample) {
-                packet.set(used, &self.visibility.segment(origin, sample.point, sample.normal));
+                packet.set(used, &self.visibility.segment(origin, sample.face, sample.point, sample.normal));
                 pending[used] = c.irradiance * share(c.density, c.direction.dot(normal));
                 used += 1;
             }

@@ -151,7 +151,7 @@ impl Context<'_, '_> {
                 }
                 throughput /= survive;
             }
-            origin = self.visibility.leave(at.point, side);
+            origin = self.visibility.leave(at.face, at.point, side);
             from = at.face;
         }
         radiance
@@ -164,7 +164,7 @@ impl Context<'_, '_> {
         let sides: &[f64] = if surface.scatters_through() { &[1.0, -1.0] } else { &[1.0] };
         for &sign in sides {
             let (normal, side) = (sign * surface.normal, sign * at.geometric);
-            let origin = self.visibility.leave(at.point, side);
+            let origin = self.visibility.leave(at.face, at.point, side);
             let weigh = |c: &crate::emitters::Connection| {
                 let cos = c.direction.dot(normal);
                 let (value, density) = surface.evaluate(c.direction);
@@ -176,6 +176,7 @@ impl Context<'_, '_> {
                     && c.direction.dot(side) > 0.0
                     && self.visibility.unoccluded(&self.visibility.segment(
                         origin,
+                        sample.face,
                         sample.point,
                         sample.normal,
                     ))

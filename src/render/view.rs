@@ -123,7 +123,7 @@ impl Context<'_, '_> {
         }
         let side = if s.transmitted { -at.geometric } else { at.geometric };
         let next = Sight {
-            origin: self.visibility.leave(at.point, side),
+            origin: self.visibility.leave(at.face, at.point, side),
             direction: s.direction,
             from: at.face,
             depth: sight.depth + 1,
@@ -183,8 +183,8 @@ impl Context<'_, '_> {
                 continue;
             }
             let share = mis_share(f64::from(samples), c.density, f64::from(n), density);
-            let origin = self.visibility.leave(at.point, side);
-            let segment = self.visibility.segment(origin, sample.point, sample.normal);
+            let origin = self.visibility.leave(at.face, at.point, side);
+            let segment = self.visibility.segment(origin, sample.face, sample.point, sample.normal);
             self.cast(1);
             if self.visibility.unoccluded(&segment) {
                 sum += value * sample.radiance * (share / (c.density * f64::from(samples)));
@@ -205,7 +205,7 @@ impl Context<'_, '_> {
         let transmitted = surface.is_below(direction);
         let side = if transmitted { -at.geometric } else { at.geometric };
         (direction.dot(side) > 0.0).then(|| Sight {
-            origin: self.visibility.leave(at.point, side),
+            origin: self.visibility.leave(at.face, at.point, side),
             direction,
             from: at.face,
             depth: sight.depth + 1,

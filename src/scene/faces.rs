@@ -1,7 +1,7 @@
 //! From polygons in file units to the faces of a scene.
 
 use super::obj::{ObjFile, Polygon};
-use super::{Face, polygon};
+use super::{Face, Material, coplanar, polygon};
 use crate::error::{Error, Result};
 use glam::DVec3;
 use std::collections::{HashMap, HashSet};
@@ -38,15 +38,25 @@ pub(super) struct Geometry {
 ///
 /// # Errors
 /// No polygon has an area, or there are more vertices than 32 bits can number.
-pub(super) fn build(files: &[ObjFile], numbering: &[Numbering], unit: f64) -> Result<Geometry> {
+pub(super) fn build(
+    files: &[ObjFile],
+    numbering: &[Numbering],
+    unit: f64,
+    materials: &[Material],
+) -> Result<Geometry> {
     let mut builder = Builder { unit, ..Builder::default() };
+    for (file, numbers) in files.iter().zip(numbering) {
+        for (name, number) in file.objects.iter().zip(&numbers.objects) {
+            builder.object_names.insert(*number, name.clone());
+        }
+    }
     for (file, numbers) in files.iter().zip(numbering) {
         builder.normal_numbers.clear();
         for polygon in &file.polygons {
             builder.add(file, numbers, polygon)?;
         }
     }
-    builder.finish(files)
+    builder.finish(files, materials)
 }
 
 /// How often something happened, to which objects, and where first.
@@ -94,6 +104,7 @@ struct Builder {
     polygon_count: u32,
     seen_polygons: HashSet<Vec<u32>>,
     seen_faces: HashSet<[u32; 4]>,
+    object_names: HashMap<u32, String>,
     no_area: Tally,
     duplicates: Tally,
     bent: Tally,
@@ -217,7 +228,28 @@ impl Builder {
         self.faces.push(face);
     }
 
-    fn finish(mut self, files: &[ObjFile]) -> Result<Geometry> {
+    /// `{n} faces are {what} (object "a": 2, object "b": 1)` of one object number a face.
+    fn named(&self, objects: &[u32], what: &str) -> Option<String> {
+        let mut counts: Vec<(u32, usize)> = Vec::new();
+        for &object in objects {
+            match counts.iter_mut().find(|(o, _)| *o == object) {
+                Some((_, n)) => *n += 1,
+                None => counts.push((object, 1)),
+            }
+        }
+        let mut parts: Vec<String> = counts
+            .iter()
+            .take(5)
+            .map(|(o, n)| format!("object \"{}\": {n}", self.object_names.get(o).map_or("", String::as_str)))
+            .collect();
+        if counts.len() > parts.len() {
+            parts.push("...".into());
+        }
+        let faces = if objects.len() == 1 { "face is" } else { "faces are" };
+        (!objects.is_empty()).then(|| format!("{} {faces} {what} ({})", objects.len(), parts.join(", ")))
+    }
+
+    fn finish(mut self, files: &[ObjFile], materials: &[Material]) -> Result<Geometry> {
         let repeats = ("dropped that repeats an earlier face", "dropped that repeat earlier faces");
         let same = |what: &'static str| (what, what);
         let tallies = [
@@ -237,6 +269,14 @@ impl Builder {
                 false => Error::parse(path, None, "no faces: none of them has an area"),
             });
         }
+        let emits: Vec<bool> = materials.iter().map(Material::is_emitter).collect();
+        let cut = coplanar::cut(&mut self.faces, &mut self.points, &emits);
+        for (objects, what) in [
+            (&cut.objects, "in the plane of others, cut where these cover them"),
+            (&cut.kept, "in the plane of others that cover them; not cut, for their shading normals"),
+        ] {
+            warnings.extend(self.named(objects, what));
+        }
         self.faces.sort_by_key(|f| !f.is_triangle());
 
         let mut vertices = Compacted::default();
@@ -251,13 +291,14 @@ impl Builder {
         let center = 0.5 * low + 0.5 * high;
         vertices.iter_mut().for_each(|v| *v -= center);
         self.faces.iter_mut().for_each(|face| measure(face, &vertices));
-        let too_small = self.faces.iter().filter(|f| !survives_single_precision(f, &vertices)).count();
-        if too_small > 0 {
-            let faces = if too_small == 1 { "face is" } else { "faces are" };
-            warnings.push(format!(
-                "{too_small} {faces} too small or thin for single precision in a scene of this size: rays may miss"
-            ));
-        }
+        let too_small: Vec<u32> = self
+            .faces
+            .iter()
+            .filter(|f| !survives_single_precision(f, &vertices))
+            .map(|f| f.object)
+            .collect();
+        let what = "too small or thin for single precision in a scene of this size: rays may miss";
+        warnings.extend(self.named(&too_small, what));
         Ok(Geometry {
             triangle_count: self.faces.iter().filter(|f| f.is_triangle()).count(),
             polygon_count: self.polygon_count as usize,

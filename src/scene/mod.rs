@@ -5,6 +5,7 @@
 //! precisely as the same room at the origin.
 
 mod camera;
+mod coplanar;
 mod document;
 mod faces;
 mod features;

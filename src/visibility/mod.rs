@@ -1,24 +1,18 @@
-//! Every visibility question: the only caller of Embree, and the one place that decides how far a
-//! ray starts from its surface.
-//!
-//! **Ray offset.** Points on faces are computed in f64, moved off the face along its geometric
-//! normal by [`OFFSET`] of the scene's radius, and only then rounded to f32. Coordinates are
-//! relative to the scene's centre, so rounding moves a point by at most 6e-8 of the radius: the
-//! offset is 17 times larger, enough that the origin lies on the right side of its own face, and
-//! small enough to keep contact shadows. A flat face cannot be hit by a ray that leaves it, so a
-//! hit on the ray's own face is a rounding error and the ray goes on behind it.
+//! Every visibility question: the only caller of Embree, and the one place that decides where rays start and which of
+//! their hits count (`offset.rs` gives the reasons).
 
+mod offset;
 mod reach;
+#[cfg(test)]
+mod tests;
 
 pub use reach::reachable_sides;
 
 use crate::Result;
 use crate::embree::{CommittedScene, Device, Ray, RayPacket, ShadowPacket};
 use crate::scene::{Face, Scene};
-use glam::{DVec3, Vec3};
-
-/// Distance of a ray's origin from its face, as a share of the scene's radius.
-pub const OFFSET: f64 = 1e-6;
+use glam::{DVec2, DVec3, Vec3};
+use offset::Offset;
 
 /// A ray's meeting with a face.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,7 +38,7 @@ pub struct SurfacePoint {
     pub v: f32,
     /// Seen from the front.
     pub front: bool,
-    /// Position [m, relative to the scene's centre].
+    /// Position [m, relative to the scene's centre], as far from the face's edges as rays must start.
     pub point: DVec3,
     /// Unit geometric normal, towards the side it is seen from.
     pub geometric: DVec3,
@@ -57,7 +51,9 @@ pub struct Visibility<'s> {
     scene: &'s Scene,
     embree: CommittedScene,
     normals: Vec<Vec3>,
-    offset: f64,
+    offsets: Vec<Offset>,
+    /// Every edge is shared: from within nothing can be missed.
+    closed: bool,
 }
 
 impl<'s> Visibility<'s> {
@@ -70,7 +66,30 @@ impl<'s> Visibility<'s> {
         let quads: Vec<[u32; 4]> = quads.iter().map(|f| f.vertices).collect();
         let embree = CommittedScene::new(device, &vertices, &triangles, &quads)?;
         let normals = scene.faces.iter().map(|f| f.normal.as_vec3()).collect();
-        Ok(Visibility { scene, embree, normals, offset: OFFSET * scene.radius })
+        let (offsets, closed) = offset::offsets(scene);
+        Ok(Visibility { scene, embree, normals, offsets, closed })
+    }
+
+    /// What single precision does not resolve in this scene, by name of the object.
+    pub fn warnings(&self) -> Vec<String> {
+        let unresolved = offset::unresolved(self.scene, &self.offsets);
+        if unresolved.is_empty() {
+            return Vec::new();
+        }
+        let total: usize = unresolved.iter().map(|(_, n)| n).sum();
+        let mut names: Vec<String> = unresolved
+            .iter()
+            .take(5)
+            .map(|&(object, n)| format!("object \"{}\": {n}", self.scene.objects[object as usize]))
+            .collect();
+        if unresolved.len() > names.len() {
+            names.push("...".into());
+        }
+        vec![format!(
+            "{total} faces are too small, too thin or meet at too small an angle for single precision in a scene of this \
+             size; light near them may be wrong ({})",
+            names.join(", ")
+        )]
     }
 
     /// The scene that rays are cast into.
@@ -83,10 +102,21 @@ impl<'s> Visibility<'s> {
         &self.embree
     }
 
-    /// Where a ray starts that leaves `point` to the side that `normal` points to.
+    /// Where a ray starts that leaves `point` of a face to the side that `normal` points to.
     #[inline]
-    pub fn leave(&self, point: DVec3, normal: DVec3) -> Vec3 {
-        (point + self.offset * normal).as_vec3()
+    pub fn leave(&self, face: u32, point: DVec3, normal: DVec3) -> Vec3 {
+        (point + self.offsets[face as usize].lift * normal).as_vec3()
+    }
+
+    /// (u, v) of the point of a face nearest to the given one at which rays may start.
+    #[inline]
+    pub fn inside(&self, face: u32, u: f64, v: f64) -> (f64, f64) {
+        self.offsets[face as usize].inside(u, v)
+    }
+
+    /// Origin and edges in (u, v) of a cell of a face, drawn in from where rays may not start.
+    pub fn inside_cell(&self, face: u32, cell: (DVec2, DVec2, DVec2)) -> (DVec2, DVec2, DVec2) {
+        self.offsets[face as usize].inside_cell(cell)
     }
 
     /// First face along a ray that left face `from`.
@@ -94,13 +124,28 @@ impl<'s> Visibility<'s> {
     pub fn closest(&self, origin: Vec3, direction: Vec3, from: u32) -> Option<SurfaceHit> {
         let mut ray = Ray::new(origin, direction);
         loop {
-            let hit = self.embree.intersect(&ray)?;
+            let Some(hit) = self.embree.intersect(&ray) else { return self.nudged(&ray, from) };
             if hit.face != from {
                 return Some(self.side(hit, direction));
             }
-            // Always moves on: the next f32 above t (which is not negative) at least.
-            ray.tnear = (hit.t + self.offset as f32).max(f32::from_bits(hit.t.to_bits() + 1));
+            // Moves on to the next f32 above t, which is not negative: no other face is passed over.
+            ray.tnear = f32::from_bits(hit.t.to_bits() + 1);
         }
+    }
+
+    /// What a ray meets that slipped through an edge: where all edges are shared, a miss is tried again a few
+    /// units in the last place aside. (Embree's robust mode misses a ray in ten thousand that is aimed exactly at a vertex.)
+    #[cold]
+    fn nudged(&self, ray: &Ray, from: u32) -> Option<SurfaceHit> {
+        if !self.closed {
+            return None;
+        }
+        let size = 4.0 * f32::EPSILON * ray.direction.abs().max_element();
+        [Vec3::new(1.0, 0.7, -0.4), Vec3::new(-0.6, 0.5, 1.0)].iter().find_map(|aside| {
+            let direction = ray.direction + size * aside;
+            let hit = self.embree.intersect(&Ray { direction, ..*ray })?;
+            (hit.face != from).then(|| self.side(hit, direction))
+        })
     }
 
     /// Resolves a lane of a traced packet.
@@ -132,15 +177,15 @@ impl<'s> Visibility<'s> {
         self.embree.intersect16(packet, coherent);
     }
 
-    /// The ray from `origin` to `target`, a point on a surface that `normal` points away from:
+    /// The ray from `origin` to `target`, a point of a face seen from the side that `normal` points to:
     /// unoccluded if nothing lies between.
     #[inline]
-    pub fn segment(&self, origin: Vec3, target: DVec3, normal: DVec3) -> Ray {
-        let d = self.leave(target, normal) - origin;
+    pub fn segment(&self, origin: Vec3, face: u32, target: DVec3, normal: DVec3) -> Ray {
+        let d = self.leave(face, target, normal) - origin;
         let length = d.length();
         // Points that coincide see each other: the segment has no inside.
         let direction = if length > 0.0 { d / length } else { normal.as_vec3() };
-        Ray::segment(origin, direction, length)
+        Ray::segment(origin, direction, length * offset::SHORTER)
     }
 
     /// Whether nothing lies on a segment.
@@ -170,7 +215,10 @@ impl<'s> Visibility<'s> {
             u: hit.u,
             v: hit.v,
             front: hit.front,
-            point: p0 + u * e1 + v * e2,
+            point: {
+                let (u, v) = self.inside(hit.face, u, v);
+                p0 + u * e1 + v * e2
+            },
             geometric,
             shading,
         }

@@ -13,17 +13,27 @@ use crate::geometry::Frame;
 use crate::mesh::{Sides, side_index};
 use crate::sampling::{self, cosine_hemisphere, seed_of, sobol};
 use crate::scene::CameraFrame;
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 /// Surfaces that a particle visits at most.
 const STEPS: u32 = 12;
 /// Distinct particles that must find a side: one that slipped through a crack proves nothing.
 const PROOF: u32 = 3;
-/// Segments tried from each side that no particle found.
-const SEGMENTS: u32 = 64;
+/// Rays tried from all sides that no particle found, and the least and most from one.
+const RAYS: u32 = 1 << 20;
+const RAYS_OF_ONE: (u32, u32) = (8, 64);
+/// Segments tried from all sides that no particle found, and the least and most from one.
+const SEGMENTS: u32 = 1 << 22;
+const SEGMENTS_OF_ONE: (u32, u32) = (16, 1 << 14);
 /// Points that segments lead to, at most.
 const MOST_WITNESSES: usize = 1 << 16;
+/// Segments closer to a surface than this cosine prove nothing.
+const GRAZING: f64 = 1e-4;
+/// Most particles, where few found something.
+const MOST_PARTICLES: u32 = 1 << 21;
+/// Times that sides just found lead on to others.
+const MOST_ROUNDS: u32 = 4;
 /// Witnesses tried from the point where a ray from such a side lands.
 const STEPPING_STONES: u32 = 4;
 
@@ -42,107 +52,166 @@ pub fn reachable_sides(visibility: &Visibility, cameras: &[(CameraFrame, [u32; 2
     if emitters.is_empty() && cameras.is_empty() && !outside {
         return Sides::all(scene);
     }
-    let particles = (scene.faces.len() as u32).saturating_mul(8).clamp(1 << 15, 1 << 21);
-    let sources = emitters.len() + cameras.len();
-    let mut walks: Vec<Vec<(u32, DVec3)>> = Vec::new();
-    if sources > 0 {
-        walks = (0..particles)
-            .into_par_iter()
-            .with_min_len(1024)
-            .map(|k| {
-                let source = k as usize % sources;
-                let walker = Walker { visibility, seed: seed_of(&[seed, k, 0x7ea]) };
-                match emitters.get(source) {
-                    Some(&(face, front)) => walker.walk_from_face(face, front, k / sources as u32),
-                    None => {
-                        let (frame, size) = &cameras[source - emitters.len()];
-                        walker.walk_from_camera(frame, *size, k / sources as u32)
-                    }
+    let particles = (scene.faces.len() as u32).saturating_mul(8).clamp(1 << 15, MOST_PARTICLES);
+    let send = |range: std::ops::Range<u32>| -> Vec<Vec<(u32, DVec3)>> {
+        let sources = emitters.len() + cameras.len();
+        let range = if sources > 0 { range } else { 0..0 };
+        let walk = |k: u32| {
+            let source = k as usize % sources;
+            let walker = Walker { visibility, seed: seed_of(&[seed, k, 0x7ea]) };
+            let mut sides = match emitters.get(source) {
+                Some(&(face, front)) => walker.walk_from_face(face, front, k / sources as u32),
+                None => {
+                    let (frame, size) = &cameras[source - emitters.len()];
+                    walker.walk_from_camera(frame, *size, k / sources as u32)
                 }
-            })
-            .collect();
-    }
+            };
+            sides.sort_unstable_by_key(|(side, _)| *side);
+            sides.dedup_by_key(|(side, _)| *side);
+            sides
+        };
+        range.into_par_iter().with_min_len(1024).map(walk).collect()
+    };
     let mut found = vec![0u32; 2 * scene.faces.len()];
     let mut seen = Vec::new();
-    for walk in &mut walks {
-        walk.sort_unstable_by_key(|(side, _)| *side);
-        walk.dedup_by_key(|(side, _)| *side);
-        for (side, point) in walk {
-            found[*side as usize] += 1;
-            seen.push((*side, *point));
-        }
+    for (side, point) in send(0..particles).into_iter().flatten() {
+        found[side as usize] += 1;
+        seen.push((side, point));
     }
     for &(face, front) in &emitters {
         found[side_index(face, front)] = PROOF;
     }
-    let mut reached = Sides(found.iter().map(|&n| n >= PROOF).collect());
-    // Points as particles found them, not one a side: a finely divided object would provide them all.
-    let stride = seen.len().div_ceil(MOST_WITNESSES).max(1);
-    let witnesses: Vec<(DVec3, DVec3)> = seen
-        .iter()
-        .filter(|(side, _)| reached.0[*side as usize])
-        .step_by(stride)
-        .map(|(side, p)| {
-            (*p, scene.faces[*side as usize / 2].normal * if side % 2 == 0 { 1.0 } else { -1.0 })
-        })
-        .collect();
-    let more: Vec<bool> = (0..reached.0.len())
-        .into_par_iter()
-        .map(|s| reached.0[s] || connects(visibility, s as u32, &witnesses, outside, seed))
-        .collect();
-    reached.0 = more;
-    reached
+    let mut reached: Vec<bool> = found.iter().map(|&n| n >= PROOF).collect();
+    connect(visibility, &mut reached, &seen, outside, seed);
+    // A side that one or two particles found, and no segment, lies behind a crack or a keyhole: more of them tell.
+    let mut sent = particles;
+    while sent < MOST_PARTICLES && found.iter().zip(&reached).any(|(&n, r)| n > 0 && !r) {
+        let next = sent.saturating_mul(4).min(MOST_PARTICLES);
+        for (side, point) in send(sent..next).into_iter().flatten() {
+            if !reached[side as usize] {
+                found[side as usize] += 1;
+                seen.push((side, point));
+            }
+        }
+        sent = next;
+        let mut news = false;
+        for (r, &n) in reached.iter_mut().zip(&found).filter(|(r, n)| !**r && **n >= PROOF) {
+            *r = n >= PROOF;
+            news = true;
+        }
+        if news {
+            connect(visibility, &mut reached, &seen, outside, seed_of(&[seed, sent]));
+        }
+    }
+    Sides(reached)
 }
 
-/// Whether some segment from a side to a witness, or a ray to the outside, is free.
+/// Adds the sides from which some segment to a point that was found, or a ray to the outside, is free.
+fn connect(visibility: &Visibility, reached: &mut [bool], seen: &[(u32, DVec3)], outside: bool, seed: u32) {
+    let scene = visibility.scene();
+    // Points as particles found them, not one a side: a finely divided object would provide them all.
+    let stride = seen.len().div_ceil(MOST_WITNESSES).max(1);
+    let witnesses: Vec<Place> = seen
+        .iter()
+        .filter(|(side, _)| reached[*side as usize])
+        .step_by(stride)
+        .map(|(side, p)| {
+            let face = side / 2;
+            let normal = scene.faces[face as usize].normal * if side % 2 == 0 { 1.0 } else { -1.0 };
+            Place { face, point: *p, normal }
+        })
+        .collect();
+    let mut witnesses = witnesses;
+    for _ in 0..MOST_ROUNDS {
+        let missing = reached.iter().filter(|r| !**r).count().max(1) as u32;
+        let segments = (SEGMENTS / missing).clamp(SEGMENTS_OF_ONE.0, SEGMENTS_OF_ONE.1);
+        let rays = (RAYS / missing).clamp(RAYS_OF_ONE.0, RAYS_OF_ONE.1);
+        let work = Work { rays, segments, outside };
+        let news: Vec<(usize, Place)> = (0..reached.len())
+            .into_par_iter()
+            .filter(|&s| !reached[s])
+            .filter_map(|s| {
+                let place = connects(visibility, s as u32, &witnesses, &work, seed)?;
+                Some((s, place))
+            })
+            .collect();
+        if news.is_empty() {
+            return;
+        }
+        // What was found only now shows the way to others.
+        for (s, place) in news {
+            reached[s] = true;
+            witnesses.push(place);
+        }
+    }
+}
+
+/// What is tried from one side that no particle found.
+struct Work {
+    rays: u32,
+    segments: u32,
+    /// Light comes from outside: a ray that leaves the scene is proof.
+    outside: bool,
+}
+
+/// A point of a side from which some segment to a witness, or a ray to the outside, is free.
 fn connects(
     visibility: &Visibility,
     side: u32,
-    witnesses: &[(DVec3, DVec3)],
-    outside: bool,
+    witnesses: &[Place],
+    work: &Work,
     seed: u32,
-) -> bool {
+) -> Option<Place> {
     let scene = visibility.scene();
     let face = &scene.faces[side as usize / 2];
     let normal = face.normal * if side % 2 == 0 { 1.0 } else { -1.0 };
     let (p0, e1, e2) = scene.face_frame(face);
-    (0..SEGMENTS).any(|k| {
+    (0..work.segments.max(work.rays)).find_map(|k| {
         let p = sobol(k, 0, seed_of(&[seed, side, 0xc0]));
         let (u, v) = if face.is_triangle() { sampling::triangle(p[0], p[1]) } else { (p[0], p[1]) };
-        let point = p0 + u * e1 + v * e2;
-        let origin = visibility.leave(point, normal);
+        let (u, v) = visibility.inside(side / 2, u, v);
+        let here = Place { face: side / 2, point: p0 + u * e1 + v * e2, normal };
+        if k >= work.rays {
+            return free(visibility, &here, witnesses, p[2]).then_some(here);
+        }
+        let origin = visibility.leave(here.face, here.point, normal);
         let q = sobol(k, 0, seed_of(&[seed, side, 0xc1]));
         let d = Frame::new(normal).to_scene(cosine_hemisphere(q[0], q[1])).as_vec3();
-        let Some(hit) = visibility.closest(origin, d, side / 2) else { return outside };
-        if free(visibility, point, normal, witnesses, p[2]) {
-            return true;
+        if free(visibility, &here, witnesses, p[2]) {
+            return Some(here);
         }
+        let Some(hit) = visibility.closest(origin, d, side / 2) else { return work.outside.then_some(here) };
         // Most witnesses may lie behind a small face: from where its light goes, they can be seen.
         let stone = visibility.point(&hit);
-        (0..STEPPING_STONES).any(|i| {
+        let stone = Place { face: stone.face, point: stone.point, normal: stone.geometric };
+        let seen = (0..STEPPING_STONES).any(|i| {
             let r = (q[2] + f64::from(i) / f64::from(STEPPING_STONES)).fract();
-            free(visibility, stone.point, stone.geometric, witnesses, r)
-        })
+            free(visibility, &stone, witnesses, r)
+        });
+        seen.then_some(here)
     })
 }
 
-/// Whether the segment from a point to the witness that `choice` in [0, 1) picks is free.
-fn free(
-    visibility: &Visibility,
+/// A point of one side of a face.
+struct Place {
+    face: u32,
     point: DVec3,
+    /// Towards the side.
     normal: DVec3,
-    witnesses: &[(DVec3, DVec3)],
-    choice: f64,
-) -> bool {
-    let Some(&(target, facing)) = witnesses.get((choice * witnesses.len() as f64) as usize) else {
+}
+
+/// Whether the segment from a place to the witness that `choice` in [0, 1) picks is free.
+fn free(visibility: &Visibility, from: &Place, witnesses: &[Place], choice: f64) -> bool {
+    let Some(to) = witnesses.get((choice * witnesses.len() as f64) as usize) else {
         return false;
     };
-    let d = target - point;
+    let d = to.point - from.point;
     // Grazing segments could pass through contacts by rounding.
     let l = d.length();
-    d.dot(normal) > 1e-3 * l
-        && -d.dot(facing) > 1e-3 * l
-        && visibility.unoccluded(&visibility.segment(visibility.leave(point, normal), target, facing))
+    let origin = visibility.leave(from.face, from.point, from.normal);
+    d.dot(from.normal) > GRAZING * l
+        && -d.dot(to.normal) > GRAZING * l
+        && visibility.unoccluded(&visibility.segment(origin, to.face, to.point, to.normal))
 }
 
 struct Walker<'a, 's> {
@@ -159,26 +228,23 @@ impl Walker<'_, '_> {
         let (p0, e1, e2) = scene.face_frame(f);
         let normal = if front { f.normal } else { -f.normal };
         let d = Frame::new(normal).to_scene(cosine_hemisphere(p[2], p[3]));
-        self.walk(p0 + u * e1 + v * e2, normal, d, face)
+        let (u, v) = self.visibility.inside(face, u, v);
+        let point = p0 + u * e1 + v * e2;
+        let mut sides = self.walk(self.visibility.leave(face, point, normal), d, face);
+        sides.push((side_index(face, front) as u32, point));
+        sides
     }
 
     fn walk_from_camera(&self, frame: &CameraFrame, size: [u32; 2], index: u32) -> Vec<(u32, DVec3)> {
         let p = sobol(index, 0, 0xca3);
         let d = frame.direction(p[0] * f64::from(size[0]), p[1] * f64::from(size[1]));
-        self.walk(frame.origin(), DVec3::ZERO, d, u32::MAX)
+        self.walk(frame.origin().as_vec3(), d, u32::MAX)
     }
 
-    fn walk(
-        &self,
-        mut point: DVec3,
-        mut normal: DVec3,
-        mut direction: DVec3,
-        mut from: u32,
-    ) -> Vec<(u32, DVec3)> {
+    fn walk(&self, mut origin: Vec3, mut direction: DVec3, mut from: u32) -> Vec<(u32, DVec3)> {
         let scene = self.visibility.scene();
         let mut sides = Vec::new();
         for step in 0..STEPS {
-            let origin = self.visibility.leave(point, normal);
             let Some(hit) = self.visibility.closest(origin, direction.as_vec3(), from) else { break };
             sides.push((side_index(hit.face, hit.front) as u32, self.visibility.point(&hit).point));
             let at = self.visibility.point(&hit);
@@ -187,7 +253,8 @@ impl Walker<'_, '_> {
                 break;
             }
             let p = sobol(step, 0, self.seed);
-            (point, normal, from) = (at.point, at.geometric, hit.face);
+            let mut normal = at.geometric;
+            from = hit.face;
             // Any way that light may go on is taken, whatever its weight: this asks whether, not how much.
             let specular = material.is_specular() && (p[3] < 0.5 || !material.is_diffuse());
             if specular {
@@ -209,6 +276,7 @@ impl Walker<'_, '_> {
                 }
                 direction = Frame::new(normal).to_scene(cosine_hemisphere(p[0], p[1]));
             }
+            origin = self.visibility.leave(hit.face, at.point, normal);
         }
         sides
     }

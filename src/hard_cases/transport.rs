@@ -1,0 +1,333 @@
+//! Materials and light that break solvers and samplers.
+
+use super::build::{Point, SceneText, box_sides, plate};
+use super::exact::factor;
+use super::{Case, Outcome, compare, departure, mean, picture, said, solve, solved};
+use crate::Result;
+use crate::error::Error;
+use crate::render::{Method, Quality};
+use std::f64::consts::PI;
+
+const fn case(
+    name: &'static str,
+    breaks: &'static str,
+    answer: &'static str,
+    run: fn() -> Result<Outcome>,
+) -> Case {
+    Case { group: "transport", name, breaks, answer, limit: 0.01, slow: false, run }
+}
+
+/// The transport of the suite.
+pub(super) const CASES: &[Case] = &[
+    case("furnace, albedo 0.9", "slow convergence", "furnace", || furnace(0.9)),
+    case("furnace, albedo 0.99", "slow convergence", "furnace", || furnace(0.99)),
+    case("furnace, albedo 0.999", "slow convergence", "furnace", || furnace(0.999)),
+    Case { limit: 0.005, ..case("furnace, albedo 0.9999", "stops early", "furnace", || furnace(0.9999)) },
+    case("furnace, albedo 1 - 1e-6", "row sums in single precision", "furnace", || furnace(1.0 - 1e-6)),
+    case("one lit wall, albedo 0.99", "factors that are not reciprocal", "closed form", || lit_wall(0.99)),
+    case("one lit wall, albedo 1 - 1e-6", "factors that are not reciprocal", "closed form", || {
+        lit_wall(1.0 - 1e-6)
+    }),
+    case(
+        "two halls, one door, albedo 0.999",
+        "balance between the halls",
+        "the same with a fine mesh",
+        halls,
+    ),
+    case("perfect white, closed", "a large number where none exists", "an error", white),
+    case("black surfaces", "division by zero", "quadrature", black),
+    case("no light at all", "a black picture", "an error", dark),
+    case("emission from 1e-12 to 1e12", "the weak light is never sampled", "furnaces", emissions),
+    case("closed box with perfect mirrors", "chains without end", "furnace", mirrors),
+    case("camera between perfect mirrors", "recursion's limit", "furnace", || {
+        glass_room("diffuse = 0.0\nspecular = 1.0\nroughness = 0.0", true, [0.5, 0.02, 0.5])
+    }),
+    case("roughness 1e-4", "a lobe narrower than a float", "furnace", || {
+        glass_room("diffuse = 0.0\nspecular = 1.0\nroughness = 1e-4", false, [0.5, 0.02, 0.5])
+    }),
+    case("roughness 1", "lobe and path disagree", "path tracer", rough),
+    case("glass of ior 1.5", "total internal reflection", "furnace", || glass(1.5)),
+    case("glass of ior 1", "division by zero", "furnace", || glass(1.0)),
+    case("glass of ior 0.8", "reflection outside", "furnace", || glass(0.8)),
+    case("glass of ior 3", "trapped light", "furnace", || glass(3.0)),
+    case("camera inside glass", "trapped light", "furnace", || glass_room(GLASS, false, [0.5, 0.5, 0.5])),
+    case("lamp at grazing incidence", "cosines near zero", "quadrature", grazing),
+    case("light through a keyhole", "rays miss the hole", "quadrature", keyhole),
+    case("light only through glass", "no straight connection", "path tracer", || only_by(GLASS)),
+    case("light only by a mirror", "no straight connection", "path tracer", || {
+        only_by("diffuse = 0.0\nspecular = 0.9\nroughness = 0.0")
+    }),
+];
+
+const GLASS: &str = "diffuse = 0.0\nspecular = 0.0\nspecular_transmission = 1.0\nior = 1.5";
+
+fn furnace(albedo: f64) -> Result<Outcome> {
+    let text = SceneText::new().cuboid("", |_| "m".into(), [0.0; 3], [1.0; 3], true);
+    // Rays that number no power of two, on purpose.
+    solved(&text.diffuse("m", albedo, 1.0), 1000, Some(0.25), &[("", 1.0 / (1.0 - albedo))])
+}
+
+/// A unit cube with one emitting wall, one element a wall: three unknowns by symmetry.
+fn lit_wall(albedo: f64) -> Result<Outcome> {
+    let sides = box_sides([0.0; 3], [1.0; 3], true);
+    let opposite = factor(&sides[0].1, &sides[1].1);
+    let adjacent = (1.0 - opposite) / 4.0;
+    // B = (ceiling, four walls, floor): eliminate the walls by hand.
+    let r = albedo;
+    // c = 1 + r (4 a w + o f), w = r (a c + a f + (2 a + o) w), f = r (4 a w + o c); f = c - 1 + (o r)(c - f) gives
+    // c - f = 1 / (1 + r o).
+    let d = 1.0 / (1.0 + r * opposite);
+    let s = {
+        // s = c + f: s = 1 + r (8 a w + o s), w = r (a s + (2 a + o) w).
+        let k = r * adjacent / (1.0 - r * (2.0 * adjacent + opposite));
+        1.0 / (1.0 - r * opposite - 8.0 * r * adjacent * k)
+    };
+    let w = r * adjacent * s / (1.0 - r * (2.0 * adjacent + opposite));
+    let text = SceneText::new()
+        .cuboid("", |s| if s == "z1" { "lit".into() } else { "m".into() }, [0.0; 3], [1.0; 3], true)
+        .diffuse("m", albedo, 0.0)
+        .diffuse("lit", albedo, 1.0);
+    solved(&text, 65_536, Some(10.0), &[("z1", 0.5 * (s + d)), ("z0", 0.5 * (s - d)), ("x0", w), ("y1", w)])
+}
+
+/// Two halls joined by a door of a hundredth of a wall; light in one.
+fn halls() -> Result<Outcome> {
+    let (h, albedo) = (0.05, 0.999);
+    let mut text = SceneText::new();
+    for (name, x) in [("a-", 0.0), ("b-", 1.0)] {
+        for (side, p) in box_sides([x, 0.0, 0.0], [1.0; 3], true) {
+            let door = (name == "a-" && side == "x1") || (name == "b-" && side == "x0");
+            if !door {
+                let m = if name == "a-" && side == "z1" { "lit" } else { "m" };
+                text = text.polygon(&format!("{name}{side}"), m, &p);
+            }
+        }
+    }
+    let frame = |y: [f64; 2], z: [f64; 2]| -> Vec<Point> {
+        vec![[1.0, y[0], z[0]], [1.0, y[1], z[0]], [1.0, y[1], z[1]], [1.0, y[0], z[1]]]
+    };
+    let (a, b) = (0.5 - h, 0.5 + h);
+    for (y, z) in [([0.0, 1.0], [0.0, a]), ([0.0, 1.0], [b, 1.0]), ([0.0, a], [a, b]), ([b, 1.0], [a, b])] {
+        text = text.polygon("wall", "m", &frame(y, z));
+    }
+    let scene = text.diffuse("m", albedo, 0.0).diffuse("lit", albedo, 1.0).load()?;
+    let result = solve(&scene, 2048, Some(0.25), 1)?;
+    // Each hall is nearly uniform; the balance of power of two such halls, from the door's factor, is right to
+    // the share of what the door takes, 1e-2 of a wall: compare the total, which is exact: absorbed = emitted.
+    let s = &result.solution;
+    let absorbed: f64 =
+        (0..s.mesh.len()).map(|e| s.mesh.area(e as u32) * s.irradiance[e].x * (1.0 - albedo)).sum();
+    Ok(Outcome::Number {
+        error: (absorbed / s.ledger.emitted.x - 1.0).abs(),
+        standard_error: s.ledger.residual_error.x,
+    })
+}
+
+fn white() -> Result<Outcome> {
+    let text = SceneText::new().cuboid("", |_| "m".into(), [0.0; 3], [1.0; 3], true).diffuse("m", 1.0, 1.0);
+    said(solve(&text.load()?, 100, Some(0.25), 1).map(|_| ()), &[], &["no steady state exists"])
+}
+
+fn black() -> Result<Outcome> {
+    let floor = plate([0.0, 1.0], [0.0, 1.0], 0.0, true);
+    let lamp = plate([0.0, 1.0], [0.0, 1.0], 1.0, false);
+    let exact = 0.3 * factor(&floor, &lamp);
+    let text = SceneText::new()
+        .cuboid(
+            "",
+            |s| match s {
+                "z0" => "grey".into(),
+                "z1" => "lamp".into(),
+                _ => "black".into(),
+            },
+            [0.0; 3],
+            [1.0; 3],
+            true,
+        )
+        .diffuse("grey", 0.3, 0.0)
+        .diffuse("lamp", 0.0, 1.0)
+        .diffuse("black", 0.0, 0.0);
+    solved(&text, 1024, Some(0.25), &[("z0", exact)])
+}
+
+fn dark() -> Result<Outcome> {
+    let text = SceneText::new().cuboid("", |_| "m".into(), [0.0; 3], [1.0; 3], true).diffuse("m", 0.5, 0.0);
+    said(solve(&text.load()?, 100, Some(0.25), 1).map(|_| ()), &[], &["no light"])
+}
+
+/// Closed furnaces side by side, their emission 24 orders of magnitude apart.
+fn emissions() -> Result<Outcome> {
+    let mut text = SceneText::new();
+    let powers = [1e-12, 1.0, 1e12];
+    for (k, e) in powers.iter().enumerate() {
+        let m = format!("m{k}");
+        text = text
+            .cuboid(&format!("{k}-"), |_| m.clone(), [2.0 * k as f64, 0.0, 0.0], [1.0; 3], true)
+            .diffuse(&m, 0.5, *e);
+    }
+    let scene = text.load()?;
+    let result = solve(&scene, 1024, Some(0.25), 1)?;
+    let names: Vec<(String, f64)> = powers
+        .iter()
+        .enumerate()
+        .flat_map(|(k, e)| ["x0", "z1"].map(|s| (format!("{k}-{s}"), 2.0 * e)))
+        .collect();
+    let answers: Vec<(&str, f64)> = names.iter().map(|(n, e)| (n.as_str(), *e)).collect();
+    compare(&result, &answers)
+}
+
+/// Four furnace walls between two facing perfect mirrors.
+fn mirrors() -> Result<Outcome> {
+    let text = SceneText::new()
+        .cuboid(
+            "",
+            |s| if s.starts_with('z') { "mirror".into() } else { "m".into() },
+            [0.0; 3],
+            [1.0; 3],
+            true,
+        )
+        .diffuse("m", 0.7, 1.0)
+        .material("mirror", "diffuse = 0.0\nspecular = 1.0\nroughness = 0.0");
+    let b = 1.0 / (1.0 - 0.7);
+    solved(&text, 1024, Some(0.25), &[("x0", b), ("x1", b), ("y0", b), ("y1", b)])
+}
+
+/// A furnace that holds a body of the given material, or whose ends are made of it: every camera sees E / (1 - rho) / pi.
+fn glass_room(body: &str, ends: bool, eye: Point) -> Result<Outcome> {
+    let target = if ends { [0.5, 1.0, 0.5] } else { [0.51, 0.9, 0.47] };
+    let mut text = SceneText::new()
+        .head(&format!(
+            "[camera]\norigin = {eye:?}\ntarget = {target:?}\nup = [0, 0, 1]\nfov = 40\nsize = [16, 16]"
+        ))
+        .cuboid(
+            "",
+            |s| if ends && s.starts_with('y') { "body".into() } else { "m".into() },
+            [0.0; 3],
+            [1.0; 3],
+            true,
+        )
+        .diffuse("m", 0.5, 1.0)
+        .material("body", body);
+    if !ends {
+        text = text.cuboid("body-", |_| "body".into(), [0.31, 0.33, 0.32], [0.4, 0.3, 0.37], false);
+    }
+    let image = picture(&text.load()?, Method::TwoPass(Quality::Mesh), 16, (1024, Some(0.25)), 1)?;
+    Ok(match departure(&image, 2.0 / PI) {
+        // Single pixels carry the noise of Russian roulette and of pass 1: the mean must hold to 1 %, pixels to 10 %.
+        Outcome::Number { error, .. } => Outcome::Number {
+            error: (mean(&image) / (2.0 / PI) - 1.0).abs().max(0.1 * error),
+            standard_error: 0.0,
+        },
+        said => said,
+    })
+}
+
+fn glass(ior: f64) -> Result<Outcome> {
+    let body = format!("diffuse = 0.0\nspecular = 0.0\nspecular_transmission = 1.0\nior = {ior:?}");
+    glass_room(&body, false, [0.5, 0.02, 0.5])
+}
+
+/// A rough floor under a lamp: both passes against the path tracer.
+fn rough() -> Result<Outcome> {
+    let text = SceneText::new()
+        .head("[camera]\norigin = [0.5, 0.05, 0.5]\ntarget = [0.5, 1, 0.2]\nup = [0, 0, 1]\nfov = 60\nsize = [8, 8]")
+        .cuboid("", |s| if s == "z0" { "rough".into() } else { "m".into() }, [0.0; 3], [1.0; 3], true)
+        .polygon("lamp", "lamp", &plate([0.2, 0.8], [0.2, 0.8], 0.95, false))
+        .diffuse("m", 0.5, 0.0)
+        .diffuse("lamp", 0.0, 5.0)
+        .material("rough", "diffuse = 0.2\nspecular = 0.5\nroughness = 1.0");
+    against_path(&text, 64, 4096)
+}
+
+/// Means of an image by both passes and by the path tracer in eight independent parts, whose spread is the standard error.
+fn against_path(text: &SceneText, spp: u32, path_spp: u32) -> Result<Outcome> {
+    let scene = text.load()?;
+    let means = |method: Method, spp: u32, parts: u32| -> Result<(f64, f64)> {
+        let runs: Vec<f64> = (0..parts)
+            .map(|seed| Ok(mean(&picture(&scene, method, (spp / parts).max(1), (1024, Some(0.1)), seed)?)))
+            .collect::<Result<_>>()?;
+        let m = runs.iter().sum::<f64>() / f64::from(parts);
+        let spread: f64 = runs.iter().map(|r| (r - m) * (r - m)).sum();
+        Ok((m, (spread / f64::from(parts * (parts - 1))).sqrt()))
+    };
+    let (reference, a) = means(Method::Path, path_spp, 8)?;
+    let (two_pass, b) = means(Method::TwoPass(Quality::Gather), spp, 4)?;
+    if reference == 0.0 {
+        return Err(Error::scene("path tracer", "found no light"));
+    }
+    Ok(Outcome::Number { error: (two_pass / reference - 1.0).abs(), standard_error: a.hypot(b) / reference })
+}
+
+/// A lamp that stands upright beside a floor and shines along it.
+fn grazing() -> Result<Outcome> {
+    let floor = plate([0.0, 1.0], [0.0, 1.0], 0.0, true);
+    // A thousandth high, at the floor's edge.
+    let lamp = vec![[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 1e-3], [0.0, 0.0, 1e-3]];
+    let exact = 0.5 * factor(&floor, &lamp);
+    let text = SceneText::new()
+        .polygon("floor", "grey", &floor)
+        .polygon("lamp", "lamp", &lamp)
+        .diffuse("grey", 0.5, 0.0)
+        .diffuse("lamp", 0.0, 1.0);
+    solved(&text, 4096, Some(0.1), &[("floor", exact)])
+}
+
+/// A black chamber with a bright end wall and a small hole; what falls through onto a screen beyond.
+fn keyhole() -> Result<Outcome> {
+    let h = 0.02;
+    let (a, b) = (0.5 - h, 0.5 + h);
+    let mut text = SceneText::new();
+    for (side, p) in box_sides([0.0; 3], [1.0; 3], true) {
+        match side {
+            "z1" => {}
+            "z0" => text = text.polygon("lamp", "lamp", &p),
+            _ => text = text.polygon(side, "black", &p),
+        }
+    }
+    for (x, y) in [([0.0, 1.0], [0.0, a]), ([0.0, 1.0], [b, 1.0]), ([0.0, a], [a, b]), ([b, 1.0], [a, b])] {
+        text = text.polygon("lid", "black", &plate(x, y, 1.0, false));
+    }
+    // The screen faces the hole; each of its points sees a patch of the lamp through it, wholly bright.
+    let screen = plate([0.4, 0.6], [0.4, 0.6], 1.5, false);
+    let exact = 0.5 * factor(&screen, &plate([a, b], [a, b], 1.0, true));
+    let text = text
+        .polygon("screen", "grey", &screen)
+        .diffuse("grey", 0.5, 0.0)
+        .diffuse("black", 0.0, 0.0)
+        .diffuse("lamp", 0.0, 1.0);
+    solved(&text, 65_536, Some(0.05), &[("screen", exact)])
+}
+
+/// A lamp in a black box that is open to the room only by a slab of glass, or shines at a mirror only.
+fn only_by(material: &str) -> Result<Outcome> {
+    let glass = material.contains("transmission");
+    let mut text = SceneText::new()
+        .head("[camera]\norigin = [0.5, 0.05, 0.5]\ntarget = [0.5, 1, 0.3]\nup = [0, 0, 1]\nfov = 60\nsize = [8, 8]")
+        .cuboid("", |_| "m".into(), [0.0; 3], [1.0; 3], true)
+        .diffuse("m", 0.5, 0.0)
+        .diffuse("black", 0.0, 0.0)
+        .diffuse("lamp", 0.0, 50.0)
+        .material("special", material);
+    if glass {
+        // A lamp in a black box that a slab of glass closes.
+        text = text.polygon("lamp", "lamp", &plate([0.4, 0.6], [0.4, 0.6], 0.9, false)).cuboid(
+            "slab-",
+            |_| "special".into(),
+            [0.25, 0.25, 0.6],
+            [0.5, 0.5, 0.1],
+            false,
+        );
+        for (side, p) in box_sides([0.3, 0.3, 0.7], [0.4, 0.4, 0.25], true) {
+            if side != "z0" {
+                text = text.polygon("case", "black", &p);
+            }
+        }
+    } else {
+        // A lamp that shines up into a mirror, over a black tray.
+        text = text
+            .polygon("lamp", "lamp", &plate([0.4, 0.6], [0.4, 0.6], 0.6, true))
+            .polygon("tray", "black", &plate([0.3, 0.7], [0.3, 0.7], 0.59, true))
+            .polygon("mirror", "special", &plate([0.1, 0.9], [0.1, 0.9], 0.9, false));
+    }
+    against_path(&text, 64, if glass { 16_384 } else { 8192 })
+}

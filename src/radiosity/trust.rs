@@ -1,0 +1,92 @@
+//! What in a solution cannot be trusted, by name.
+
+use super::Solution;
+use crate::color;
+use crate::form_factor::ExchangeMatrix;
+use crate::scene::Scene;
+
+/// Relative standard error of an object's reflected light above which a warning names it.
+const UNCERTAIN: f64 = 0.05;
+/// Share of rays below which what escapes does so through cracks, not openings.
+const CRACK: f64 = 1e-3;
+/// Departure of the power balance that needs no explanation.
+const BALANCED: f64 = 1e-3;
+/// Objects named in one warning.
+const NAMED: usize = 5;
+
+/// Warnings about a solution, each naming its objects.
+pub fn warnings(scene: &Scene, solution: &Solution, matrix: &ExchangeMatrix) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if solution.mesh.is_empty() {
+        return warnings;
+    }
+    if matrix.batches() < 2 {
+        warnings.push(format!(
+            "{} ray an element gives no standard errors: cast at least 2 (--rays)",
+            matrix.rays_per_row
+        ));
+    }
+    uncertain(solution, &mut warnings);
+    let l = &solution.ledger;
+    for c in 0..3 {
+        let (off, error) = (l.residual[c].abs(), l.residual_error[c]);
+        // Without standard errors nothing says how large a departure is by chance.
+        if off > BALANCED + 4.0 * error {
+            warnings.push(format!(
+                "power balance misses {:.2} % of the light (standard error {:.2} %): results are not to be trusted",
+                100.0 * off,
+                100.0 * error
+            ));
+            break;
+        }
+    }
+    cracks(scene, solution, matrix, &mut warnings);
+    warnings
+}
+
+fn uncertain(solution: &Solution, warnings: &mut Vec<String>) {
+    let brightest = solution.objects.iter().map(|o| color::mean(o.radiosity)).fold(0.0, f64::max);
+    let mut worst: Vec<(f64, &str)> = Vec::new();
+    for o in &solution.objects {
+        let (error, value) = (color::mean(o.standard_error), color::mean(o.radiosity));
+        // What is dark beside the rest of the scene need not be known as well.
+        let relative = error / value.max(1e-6 * brightest);
+        if relative > UNCERTAIN {
+            worst.push((relative, &o.name));
+        }
+    }
+    worst.sort_by(|a, b| b.0.total_cmp(&a.0));
+    if !worst.is_empty() {
+        let names: Vec<String> = worst
+            .iter()
+            .take(NAMED)
+            .map(|(e, n)| format!("object \"{n}\": {:.0} %", 100.0 * e))
+            .chain((worst.len() > NAMED).then(|| "...".into()))
+            .collect();
+        warnings.push(format!(
+            "radiosity is uncertain: cast more rays (--rays); standard errors of means ({})",
+            names.join(", ")
+        ));
+    }
+}
+
+fn cracks(scene: &Scene, solution: &Solution, matrix: &ExchangeMatrix, warnings: &mut Vec<String>) {
+    let mesh = &solution.mesh;
+    let (mut total, mut escaped) = (0.0, 0.0);
+    let mut by_object = vec![0.0; scene.objects.len()];
+    for e in 0..mesh.len() {
+        let area = mesh.area(e as u32) * matrix.summary[e].exposed;
+        let lost = area * color::mean(matrix.summary[e].escaped);
+        total += area;
+        escaped += lost;
+        by_object[scene.faces[mesh.place(e as u32).0 as usize].object as usize] += lost;
+    }
+    let share = if total > 0.0 { escaped / total } else { 0.0 };
+    if share > 0.0 && share < CRACK {
+        let worst = by_object.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |w| w.0);
+        warnings.push(format!(
+            "a share of {share:.1e} of the rays leaves the scene, most from object \"{}\": its faces may not quite meet",
+            scene.objects[worst]
+        ));
+    }
+}

@@ -1,0 +1,303 @@
+//! Faces that lie in one plane and overlap.
+//!
+//! A ray that meets two surfaces at one distance hits either at random, and light counts twice: a lamp
+//! drawn into the plane of the ceiling, a box that stands on the floor, a wall that two rooms both have. Of each
+//! overlap one face keeps its part and the others are cut. Emitters keep theirs first, then the smaller polygon: what was put
+//! on a larger surface was meant to be seen.
+
+use super::{Face, polygon};
+use glam::{DVec2, DVec3};
+use std::collections::HashMap;
+
+/// An overlap of less than this share of the smaller face is rounding of a common edge.
+const LEAST_OVERLAP: f64 = 1e-7;
+/// Planes are compared where their normals agree in a lattice of this size.
+const NORMAL_CELL: f64 = 1e-3;
+/// And their distances from the centre in one of this share of the scene's radius.
+const DISTANCE_CELL: f64 = 1e-4;
+/// Distance of planes that rays cannot tell apart, as a share of coordinates: see `visibility`'s offsets.
+const APART: f64 = 8.0 / 16_777_216.0;
+
+/// What was cut.
+#[derive(Debug, Default)]
+pub(super) struct Cut {
+    /// Object of each face that lost a part.
+    pub objects: Vec<u32>,
+    /// Object of each face that overlaps another but could not be cut: it has shading normals.
+    pub kept: Vec<u32>,
+}
+
+/// Cuts overlapping faces; new points are added to `points`. `emits` tells the emitting materials.
+pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, emits: &[bool]) -> Cut {
+    let mut result = Cut::default();
+    let used = || faces.iter().flat_map(|f| f.vertices).map(|v| points[v as usize]);
+    let (low, high) =
+        (used().fold(DVec3::INFINITY, DVec3::min), used().fold(DVec3::NEG_INFINITY, DVec3::max));
+    let (center, radius) = (0.5 * low + 0.5 * high, 0.5 * (high - low).length());
+    let mut polygon_area: HashMap<u32, f64> = HashMap::new();
+    for f in faces.iter() {
+        *polygon_area.entry(f.polygon).or_default() += f.area;
+    }
+    let mut planes: HashMap<[i64; 4], Vec<u32>> = HashMap::new();
+    for (k, f) in faces.iter().enumerate() {
+        planes.entry(plane_key(f, points, center, radius)).or_default().push(k as u32);
+    }
+    let mut groups: Vec<Vec<u32>> = planes.into_values().filter(|g| g.len() > 1).collect();
+    groups.sort_unstable();
+    let mut replaced: Vec<(u32, Vec<Vec<DVec3>>)> = Vec::new();
+    for group in groups {
+        let mut flats: Vec<Flat> = group.iter().map(|&k| Flat::new(k, faces, points, center)).collect();
+        flats.sort_by(|a, b| a.low.x.total_cmp(&b.low.x));
+        let rank = |k: u32| {
+            let f = &faces[k as usize];
+            (!emits.get(f.material as usize).copied().unwrap_or(false), polygon_area[&f.polygon], k)
+        };
+        let mut losses: HashMap<u32, Vec<u32>> = HashMap::new();
+        for (i, a) in flats.iter().enumerate() {
+            for b in flats[i + 1..].iter().take_while(|b| b.low.x < a.high.x) {
+                if faces[a.face as usize].polygon == faces[b.face as usize].polygon
+                    || b.low.cmpge(a.high).any()
+                    || a.low.cmpge(b.high).any()
+                {
+                    continue;
+                }
+                if overlap(a.face, b.face, faces, points, center) {
+                    let (x, y) = (rank(a.face), rank(b.face));
+                    let a_wins = (x.0, x.1, x.2) < (y.0, y.1, y.2);
+                    let (winner, loser) = if a_wins { (a.face, b.face) } else { (b.face, a.face) };
+                    losses.entry(loser).or_default().push(winner);
+                }
+            }
+        }
+        let mut losses: Vec<_> = losses.into_iter().collect();
+        losses.sort_unstable();
+        for (loser, winners) in losses {
+            let face = &faces[loser as usize];
+            let mut pieces = vec![corners(face, points)];
+            for w in winners {
+                let cutter = flatten(face, &corners(&faces[w as usize], points));
+                pieces = pieces.iter().flat_map(|p| subtract(face, p, &cutter)).collect();
+            }
+            if face.normals.is_some() && !pieces.is_empty() {
+                result.kept.push(face.object);
+                continue;
+            }
+            result.objects.push(face.object);
+            replaced.push((loser, pieces));
+        }
+    }
+    if !replaced.is_empty() {
+        replace(faces, points, replaced);
+    }
+    result
+}
+
+/// Puts pieces in the places of the faces that they are left of.
+fn replace(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, mut replaced: Vec<(u32, Vec<Vec<DVec3>>)>) {
+    replaced.sort_unstable_by_key(|r| r.0);
+    let mut rest = replaced.into_iter().peekable();
+    for (k, face) in std::mem::take(faces).into_iter().enumerate() {
+        let Some((_, pieces)) = rest.next_if(|r| r.0 == k as u32) else {
+            faces.push(face);
+            continue;
+        };
+        for piece in pieces {
+            let first = points.len() as u32;
+            let split = polygon::split(&piece);
+            points.extend(&piece);
+            faces.extend(split.faces.iter().map(|c| Face {
+                vertices: c.map(|c| first + c as u32),
+                normals: None,
+                ..face
+            }));
+        }
+    }
+}
+
+/// The extent of a face within its plane, on the two axes that its normal is furthest from.
+struct Flat {
+    face: u32,
+    low: DVec2,
+    high: DVec2,
+}
+
+impl Flat {
+    fn new(k: u32, faces: &[Face], points: &[DVec3], center: DVec3) -> Flat {
+        let f = &faces[k as usize];
+        let n = f.normal.abs();
+        let flat = |p: DVec3| {
+            let p = p - center;
+            if n.x >= n.y && n.x >= n.z {
+                DVec2::new(p.y, p.z)
+            } else if n.y >= n.z {
+                DVec2::new(p.x, p.z)
+            } else {
+                DVec2::new(p.x, p.y)
+            }
+        };
+        let p = corners(f, points);
+        Flat {
+            face: k,
+            low: p.iter().map(|p| flat(*p)).fold(DVec2::INFINITY, DVec2::min),
+            high: p.iter().map(|p| flat(*p)).fold(DVec2::NEG_INFINITY, DVec2::max),
+        }
+    }
+}
+
+fn corners(face: &Face, points: &[DVec3]) -> Vec<DVec3> {
+    face.vertices[..if face.is_triangle() { 3 } else { 4 }].iter().map(|&v| points[v as usize]).collect()
+}
+
+/// The cell of a face's plane in a lattice; both orientations of a plane are one.
+fn plane_key(face: &Face, points: &[DVec3], center: DVec3, radius: f64) -> [i64; 4] {
+    let n = face.normal;
+    // The first component that is clearly not zero decides.
+    let sign = n.to_array().into_iter().find(|x| x.abs() > 1e-3).map_or(1.0, f64::signum);
+    let n = n * sign;
+    let d = n.dot(points[face.vertices[0] as usize] - center) / radius.max(f64::MIN_POSITIVE);
+    // The irrational shift keeps round numbers off the lattice's borders.
+    let cell = |x: f64, size: f64| (x / size + 0.381_966_011_250_105).floor() as i64;
+    [cell(n.x, NORMAL_CELL), cell(n.y, NORMAL_CELL), cell(n.z, NORMAL_CELL), cell(d, DISTANCE_CELL)]
+}
+
+/// Whether two faces lie in one plane, as far as rays can tell, and have more than an edge in common.
+fn overlap(a: u32, b: u32, faces: &[Face], points: &[DVec3], center: DVec3) -> bool {
+    let (a, b) = (&faces[a as usize], &faces[b as usize]);
+    let (pa, pb) = (corners(a, points), corners(b, points));
+    let apart = |f: &Face, p: &[DVec3], other: &[DVec3]| {
+        let most = p.iter().fold(DVec3::ZERO, |m, p| m.max((*p - center).abs()));
+        let longest = p.iter().map(|q| q.distance(p[0])).fold(0.0, f64::max);
+        let tolerance = APART * (f.normal.abs().dot(most) + longest);
+        other.iter().any(|q| f.normal.dot(*q - p[0]).abs() > tolerance)
+    };
+    if apart(a, &pa, &pb) || apart(b, &pb, &pa) {
+        return false;
+    }
+    let mut common = flatten(a, &pb);
+    let cutter = flatten(a, &pa);
+    for k in 0..cutter.len() {
+        common = half(&common, cutter[k], cutter[(k + 1) % cutter.len()], true);
+    }
+    area(&common).abs() > LEAST_OVERLAP * a.area.min(b.area)
+}
+
+/// Points in the plane of a face, counter-clockwise.
+fn flatten(face: &Face, p: &[DVec3]) -> Vec<DVec2> {
+    let (x, y) = face.normal.any_orthonormal_pair();
+    // any_orthonormal_pair does not promise an orientation.
+    let y = if x.cross(y).dot(face.normal) > 0.0 { y } else { -y };
+    let mut flat: Vec<DVec2> = p.iter().map(|p| DVec2::new(p.dot(x), p.dot(y))).collect();
+    if area(&flat) < 0.0 {
+        flat.reverse();
+    }
+    flat
+}
+
+fn area(p: &[DVec2]) -> f64 {
+    let Some(&o) = p.first() else { return 0.0 };
+    0.5 * p.windows(2).map(|w| (w[0] - o).perp_dot(w[1] - o)).sum::<f64>()
+}
+
+/// The part of a convex polygon to the left (`inside`) or right of a line.
+fn half(p: &[DVec2], a: DVec2, b: DVec2, inside: bool) -> Vec<DVec2> {
+    let sign = if inside { 1.0 } else { -1.0 };
+    let side = |q: DVec2| sign * (b - a).perp_dot(q - a);
+    let mut out = Vec::with_capacity(p.len() + 1);
+    for k in 0..p.len() {
+        let (q, r) = (p[k], p[(k + 1) % p.len()]);
+        let (s, t) = (side(q), side(r));
+        if s >= 0.0 {
+            out.push(q);
+        }
+        if (s > 0.0 && t < 0.0) || (s < 0.0 && t > 0.0) {
+            out.push(q + (r - q) * (s / (s - t)));
+        }
+    }
+    out
+}
+
+/// What is left of a convex polygon in a face's plane without a convex part of that plane: convex pieces.
+fn subtract(face: &Face, piece: &[DVec3], cutter: &[DVec2]) -> Vec<Vec<DVec3>> {
+    let (x, y) = face.normal.any_orthonormal_pair();
+    let y = if x.cross(y).dot(face.normal) > 0.0 { y } else { -y };
+    let origin = piece[0];
+    let lift = |q: &DVec2| {
+        let d = *q - DVec2::new(origin.dot(x), origin.dot(y));
+        origin + d.x * x + d.y * y
+    };
+    let whole: Vec<DVec2> = piece.iter().map(|p| DVec2::new(p.dot(x), p.dot(y))).collect();
+    let least = LEAST_OVERLAP * face.area;
+    let mut common = whole.clone();
+    for k in 0..cutter.len() {
+        common = half(&common, cutter[k], cutter[(k + 1) % cutter.len()], true);
+    }
+    if area(&common) <= least {
+        return vec![piece.to_vec()];
+    }
+    let mut rest = whole;
+    let mut pieces = Vec::new();
+    for k in 0..cutter.len() {
+        let (a, b) = (cutter[k], cutter[(k + 1) % cutter.len()]);
+        let outside = half(&rest, a, b, false);
+        if area(&outside) > least {
+            pieces.push(outside.iter().map(lift).collect());
+        }
+        rest = half(&rest, a, b, true);
+    }
+    pieces
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn square(points: &mut Vec<DVec3>, [x0, x1]: [f64; 2], [y0, y1]: [f64; 2], z: f64, polygon: u32) -> Face {
+        let first = points.len() as u32;
+        points.extend([(x0, y0), (x1, y0), (x1, y1), (x0, y1)].map(|(x, y)| DVec3::new(x, y, z)));
+        Face {
+            vertices: [0, 1, 2, 3].map(|k| first + k),
+            normals: None,
+            object: polygon,
+            material: polygon,
+            polygon,
+            normal: DVec3::Z,
+            area: (x1 - x0) * (y1 - y0),
+        }
+    }
+
+    fn total(faces: &[Face], points: &[DVec3], object: u32) -> f64 {
+        faces.iter().filter(|f| f.object == object).map(|f| polygon::area_vector(&corners(f, points)).z).sum()
+    }
+
+    #[test]
+    fn the_smaller_keeps_its_part_and_emitters_come_first() {
+        for (emits, areas) in [([false, false], [0.84, 0.16]), ([true, false], [1.0, 0.0])] {
+            let mut points = Vec::new();
+            let mut faces = vec![
+                square(&mut points, [0.0, 1.0], [0.0, 1.0], 0.5, 0),
+                square(&mut points, [0.3, 0.7], [0.2, 0.6], 0.5, 1),
+            ];
+            let cut = cut(&mut faces, &mut points, &emits);
+            assert_eq!(cut.objects.len(), 1);
+            for (k, a) in areas.iter().enumerate() {
+                assert!((total(&faces, &points, k as u32) - a).abs() < 1e-12, "{emits:?} {k}");
+            }
+        }
+    }
+
+    #[test]
+    fn partial_overlaps_are_cut_and_neighbours_are_not() {
+        let mut points = Vec::new();
+        let mut faces = vec![
+            square(&mut points, [0.0, 1.0], [0.0, 1.0], 0.0, 0),
+            square(&mut points, [0.75, 1.5], [0.5, 1.25], 0.0, 1),
+            square(&mut points, [-1.0, 0.0], [0.0, 1.0], 0.0, 2),
+            square(&mut points, [0.0, 1.0], [0.0, 1.0], 1e-3, 3),
+        ];
+        let cut = cut(&mut faces, &mut points, &[]);
+        assert_eq!(cut.objects, [0]);
+        for (k, a) in [1.0 - 0.125, 0.5625, 1.0, 1.0].iter().enumerate() {
+            assert!((total(&faces, &points, k as u32) - a).abs() < 1e-12, "{k}");
+        }
+    }
+}
