@@ -8,7 +8,7 @@ help:
 	@echo "make render         render $(SCENE) to out/cornell.exr and out/cornell.png"
 	@echo "make test           run every test, documentation examples included"
 	@echo "make lint           check formatting, clippy and the documentation"
-	@echo "make bench          rays per second and error over time (the tables of the README)"
+	@echo "make bench          error over time (a table of the README)"
 	@echo "make test-debian13  run the tests in a Debian 13 root (Embree 4, cargo 1.85); needs root"
 	@echo "make setup          install the Debian packages that are missing"
 
@@ -34,7 +34,7 @@ lint: setup
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --locked --no-deps
 
 bench: setup
-	$(CARGO) bench --locked --bench rates --bench images
+	$(CARGO) bench --locked --bench images
 
 test-debian13: setup
 	@bash ci/debian13.sh

@@ -19,6 +19,8 @@ pub enum Command {
     Solve(SolveArgs),
     /// Compute form (view) factors.
     FormFactors(FormFactorArgs),
+    /// Measure speed beside error and write a report.
+    Bench(BenchArgs),
     /// Print what a scene holds, and what is modelled for it and what is not.
     Info(InfoArgs),
 }
@@ -126,6 +128,30 @@ pub struct FormFactorArgs {
     pub report: Option<PathBuf>,
     #[command(flatten)]
     pub pass1: Pass1Args,
+    #[command(flatten)]
+    pub common: Common,
+}
+
+#[derive(Debug, ClapArgs)]
+pub struct BenchArgs {
+    /// Groups to run [default: all]. An unknown name lists them.
+    pub names: Vec<String>,
+    /// Folder of the records and the report.
+    #[arg(short, long, value_name = "DIR")]
+    pub output: PathBuf,
+    /// Fewer and smaller measurements: two minutes instead of forty.
+    #[arg(long)]
+    pub quick: bool,
+    /// Replace the tables in a Markdown file with those of the records in DIR; measures nothing.
+    #[arg(long, value_name = "README.md", conflicts_with_all = ["names", "quick"])]
+    pub tables: Option<PathBuf>,
+    /// Folder of cached references [default: twopass in the user's cache folder].
+    #[arg(long, value_name = "DIR")]
+    pub cache: Option<PathBuf>,
+    /// Folder of scenes with another renderer's images (NAME.toml, NAME_A.exr, NAME_B.exr, NAME_mask.npy) to check
+    /// references against [default: ../shared/scenes beside this program's sources, where it exists].
+    #[arg(long, value_name = "DIR")]
+    pub foreign: Option<PathBuf>,
     #[command(flatten)]
     pub common: Common,
 }

@@ -1,10 +1,12 @@
 //! Images: one value, written and read through OpenImageIO, compared with a reference.
 
 mod compare;
+mod false_colour;
 mod oiio;
 
 pub use compare::{Comparison, read_exr, read_mask_npy, relative_rmse, relative_rmse_halves};
-pub use oiio::{WriteOptions, read, supported, version, write};
+pub use false_colour::{signed_colour, signed_difference};
+pub use oiio::{WriteOptions, png, read, srgb_bytes, supported, version, write};
 
 /// Linear RGB radiance, row by row from the top.
 #[derive(Debug, Clone, PartialEq)]
