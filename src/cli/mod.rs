@@ -2,6 +2,7 @@
 
 mod args;
 mod bench;
+mod compare;
 mod form_factors;
 mod info;
 mod progress;
@@ -26,6 +27,7 @@ pub fn run() -> ExitCode {
         Command::Render(a) => with_threads(&a.common, || render::run(a)),
         Command::Solve(a) => with_threads(&a.common, || solve::run(a)),
         Command::FormFactors(a) => with_threads(&a.common, || form_factors::run(a)),
+        Command::Compare(a) => compare::run(a),
         Command::Bench(a) => with_threads(&a.common, || bench::run(a)),
         Command::Info(a) => with_threads(&a.common, || info::run(a)),
     };
