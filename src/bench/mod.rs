@@ -14,8 +14,13 @@
 //! over randomisations. Timings are wall times of work on [`Context::threads`] threads unless a series says otherwise.
 
 mod embree;
+mod images;
 mod machine;
+mod memory;
+mod radiosity;
 pub mod record;
+pub mod reference;
+mod scaling;
 mod scenes;
 
 pub use machine::machine;
@@ -32,11 +37,20 @@ use std::time::Instant;
 pub enum Group {
     /// Embree's own rate, and what is kept of it.
     Embree,
+    /// Pass 1 against exact cases.
+    Radiosity,
+    /// Error of images over time.
+    Images,
+    /// Time over the number of elements.
+    Scaling,
+    /// Memory of whole runs.
+    Memory,
 }
 
 impl Group {
     /// All groups, in the order in which they run and are shown.
-    pub const ALL: [Group; 1] = [Group::Embree];
+    pub const ALL: [Group; 5] =
+        [Group::Embree, Group::Radiosity, Group::Images, Group::Scaling, Group::Memory];
 
     /// Its name on the command line.
     pub fn name(self) -> &'static str {
@@ -52,12 +66,34 @@ impl Group {
                 "Embree finds where rays meet surfaces; everything else the program does costs time on top. This group tells how \
                  much: rays a second of Embree alone against the program's form-factor stage on the same rays.",
             ),
+            Group::Radiosity => (
+                "radiosity",
+                "Pass 1 against exact cases",
+                "Pass 1 finds the diffuse light of a scene. In the cases here the right answer is known, so the error needs no \
+                 reference: how it falls with more rays, finer elements, and more steps of the solver.",
+            ),
+            Group::Images => (
+                "images",
+                "Error of images over time",
+                "The question that a user has: how good a picture after how long? Every method renders the same views in the same run, \
+                 and its error is measured against a converged reference.",
+            ),
+            Group::Scaling => (
+                "scaling",
+                "From a thousand to a million elements",
+                "How time, rate and memory of pass 1 grow with the number of elements, on one thread and on all.",
+            ),
+            Group::Memory => ("memory", "Memory", "How much memory whole runs of the program need."),
         }
     }
 
     fn run(self, context: &Context) -> Result<Measurements> {
         match self {
             Group::Embree => embree::run(context),
+            Group::Radiosity => radiosity::run(context),
+            Group::Images => images::run(context),
+            Group::Scaling => scaling::run(context),
+            Group::Memory => memory::run(context),
         }
     }
 

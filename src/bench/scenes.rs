@@ -24,17 +24,17 @@ pub const SCENES: [(&str, [(&str, &str); 3]); 3] =
 
 /// A scene of [`SCENES`].
 pub fn embedded(name: &str) -> Result<Scene> {
+    let folder = tempfile::tempdir().map_err(|e| Error::io(std::env::temp_dir(), e))?;
+    write_embedded(name, folder.path())?;
+    load(&folder.path().join(format!("{name}.toml")))
+}
+
+/// Writes the files of a scene of [`SCENES`] into a folder.
+pub fn write_embedded(name: &str, folder: &Path) -> Result<()> {
     let Some((_, files)) = SCENES.iter().find(|s| s.0 == name) else {
         return Err(Error::scene(name, "the program holds no scene of that name"));
     };
-    load_from(files.iter().copied(), &format!("{name}.toml"))
-}
-
-/// Writes files into a temporary folder and loads a scene from there.
-fn load_from<'a>(files: impl Iterator<Item = (&'a str, &'a str)>, main: &str) -> Result<Scene> {
-    let folder = tempfile::tempdir().map_err(|e| Error::io(std::env::temp_dir(), e))?;
-    write_to(folder.path(), files)?;
-    load(&folder.path().join(main))
+    write_to(folder, files.iter().copied())
 }
 
 fn write_to<'a>(folder: &Path, files: impl Iterator<Item = (&'a str, &'a str)>) -> Result<()> {
