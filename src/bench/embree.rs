@@ -36,16 +36,6 @@ struct Call {
     sorted: bool,
 }
 
-impl Call {
-    fn name(self) -> String {
-        let width = match self.width {
-            Width::One => "single rays".to_string(),
-            w => format!("packets of {}", w.rays()),
-        };
-        format!("{width}, {}", if self.sorted { "sorted" } else { "unsorted" })
-    }
-}
-
 fn scene(context: &Context, name: &str) -> Result<(Subject, Option<Figure>)> {
     let scene = embedded(name)?;
     let visibility = Visibility::new(context.device, &scene)?;
@@ -82,9 +72,12 @@ fn scene(context: &Context, name: &str) -> Result<(Subject, Option<Figure>)> {
             // What the stage itself asks of Embree: packets of 16, sorted.
             let base = calls.iter().zip(&rates).find(|(c, _)| c.width == Width::Sixteen && c.sorted);
             let base = base.map_or(f64::NAN, |(_, rate)| *rate);
-            let named = calls.iter().map(|c| c.name()).zip(rates.iter().copied());
-            for (series, rate) in named.chain([(STAGE.to_string(), stage)]) {
-                let point = subject.series(&series, "threads").at(n as f64);
+            let order = |sorted: bool| if sorted { "Embree alone, sorted" } else { "Embree alone, unsorted" };
+            let alone = calls.iter().map(|c| (order(c.sorted), c.width.rays())).zip(rates.iter().copied());
+            for ((kind, width), rate) in alone.chain([((STAGE, Width::Sixteen.rays()), stage)]) {
+                let threads = if n == 1 { "1 thread".to_string() } else { format!("{n} threads") };
+                let series = subject.series(&format!("{kind}, {threads}"), "rays a call");
+                let point = series.at(width as f64);
                 point.push(RATE, Unit::RaysPerSecond, rate);
                 point.push(RATIO, Unit::Plain, rate / base);
             }
@@ -95,10 +88,11 @@ fn scene(context: &Context, name: &str) -> Result<(Subject, Option<Figure>)> {
         })?;
     }
     subject.charts.push(Chart::new(
-        "Rays a second by number of threads",
+        "Rays a second over rays a call",
         PARAMETER,
         RATE,
-        "How fast each way of calling Embree is, and how much of that the whole form-factor stage keeps.",
+        "Higher is faster. Packets help where their rays are neighbours (sorted); the single points at 16 are the whole form-factor \
+         stage, which calls Embree with sorted packets of 16.",
     ));
     subject.notes.push(format!(
         "\"{RATIO}\" compares with packets of 16, sorted, in the same round: what the stage asks of Embree."

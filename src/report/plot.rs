@@ -84,6 +84,32 @@ fn bounds(values: impl Iterator<Item = f64>) -> (f64, f64) {
     (low / air, high * air)
 }
 
+/// Round numbers within a range: powers of ten where there are three, else with their halves and fifths, else whatever
+/// multiples of a power of ten give at least three.
+fn ticks(low: f64, high: f64) -> Vec<f64> {
+    let decades = low.log10().floor() as i32..=high.log10().ceil() as i32;
+    let of = |steps: &[f64]| -> Vec<f64> {
+        let all = decades.clone().flat_map(|d| steps.iter().map(move |s| s * 10f64.powi(d)));
+        all.filter(|t| (low..=high).contains(t)).collect()
+    };
+    let fine: Vec<f64> = (10..100).map(|k| f64::from(k) / 10.0).collect();
+    let tries =
+        [of(&[1.0]), of(&[1.0, 3.0]), of(&[1.0, 2.0, 5.0]), of(&[1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0])];
+    tries.into_iter().find(|t| t.len() >= 3).unwrap_or_else(|| {
+        let all = of(&fine);
+        let step = all.len().div_ceil(6).max(1);
+        all.into_iter().step_by(step).collect()
+    })
+}
+
+fn label(h: HPos, v: VPos) -> TextStyle<'static> {
+    TextStyle {
+        font: ("sans-serif", 13).into_font(),
+        color: RGBColor(60, 60, 60).to_backend_color(),
+        pos: Pos::new(h, v),
+    }
+}
+
 fn draw(
     subject: &Subject,
     chart: &Chart,
@@ -103,17 +129,24 @@ fn draw(
         .y_label_area_size(86)
         .build_cartesian_2d((x0..x1).log_scale(), (y0..y1).log_scale())?;
     plot.configure_mesh()
-        .bold_line_style(BLACK.mix(0.15))
-        .light_line_style(BLACK.mix(0.05))
+        .disable_mesh()
+        .x_labels(0)
+        .y_labels(0)
         .x_desc(axis(subject, chart, &chart.x))
         .y_desc(axis(subject, chart, &chart.y))
-        .x_labels(6)
-        .y_labels(8)
-        .x_label_formatter(&|v| text::value(*v, ux))
-        .y_label_formatter(&|v| text::value(*v, uy))
-        .label_style(("sans-serif", 13))
         .axis_desc_style(("sans-serif", 15))
         .draw()?;
+    // Own ticks: those of the logarithmic axis are whole powers of ten, of which a narrow range has none.
+    for x in ticks(x0, x1) {
+        plot.draw_series([PathElement::new([(x, y0), (x, y1)], BLACK.mix(0.12))])?;
+        let (at, bottom) = (plot.backend_coord(&(x, y0)).0, plot.backend_coord(&(x, y0)).1);
+        root.draw(&Text::new(text::tick(x, ux), (at, bottom + 6), label(HPos::Center, VPos::Top)))?;
+    }
+    for y in ticks(y0, y1) {
+        plot.draw_series([PathElement::new([(x0, y), (x1, y)], BLACK.mix(0.12))])?;
+        let (edge, at) = plot.backend_coord(&(x0, y));
+        root.draw(&Text::new(text::tick(y, uy), (edge - 6, at), label(HPos::Right, VPos::Center)))?;
+    }
     if let Some(level) = floor {
         let dashes = DashedLineSeries::new([(x0, level), (x1, level)], 8, 5, BLACK.mix(0.6).stroke_width(1));
         plot.draw_series(dashes)?;
@@ -195,4 +228,21 @@ fn legend(
         area.draw(&Text::new("hollow: below the reference's noise", (32, y), style(grey, 12)))?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::ticks;
+
+    #[test]
+    fn ticks_are_round_and_enough() {
+        assert_eq!(ticks(0.5, 2e3), [1.0, 10.0, 100.0, 1000.0]);
+        assert_eq!(ticks(0.8, 12.0), [1.0, 3.0, 10.0]);
+        assert_eq!(ticks(1.9, 9.0), [2.0, 3.0, 4.0, 5.0, 6.0, 8.0]);
+        for (low, high) in [(4.1, 4.4), (0.0311, 0.047), (97.0, 123.0), (1e-9, 1e3)] {
+            let t = ticks(low, high);
+            assert!((3..14).contains(&t.len()), "{low} {high}: {t:?}");
+            assert!(t.windows(2).all(|w| w[0] < w[1]) && t[0] >= low && t[t.len() - 1] <= high);
+        }
+    }
 }

@@ -20,6 +20,17 @@ pub fn value(x: f64, unit: Unit) -> String {
     }
 }
 
+/// A round value beside an axis: as short as it can be.
+pub fn tick(x: f64, unit: Unit) -> String {
+    let text = value(x, unit);
+    let (number, name) = text.split_once(' ').map_or((text.as_str(), ""), |(n, u)| (n, u));
+    let short = match number.split_once('.') {
+        Some(_) if !number.contains('e') => number.trim_end_matches('0').trim_end_matches('.'),
+        _ => number,
+    };
+    format!("{short} {name}").trim_end().to_string()
+}
+
 /// Three significant digits; scientific where that is shorter to read.
 fn digits(x: f64) -> String {
     let size = x.abs();
@@ -109,6 +120,10 @@ mod tests {
         for (x, unit, text) in cases {
             assert_eq!(value(x, unit), text);
         }
+        assert_eq!(tick(0.05, Unit::Share), "5 %");
+        assert_eq!(tick(100.0, Unit::Count), "100");
+        assert_eq!(tick(1.0, Unit::Plain), "1");
+        assert_eq!(tick(1e-8, Unit::Plain), "1.0e-8");
         assert_eq!(samples(&[1.0, 3.0, 2.0], Unit::Plain), "2.00 (1.00 to 3.00)");
         assert_eq!(samples(&[1.0], Unit::Plain), "1.00");
         assert_eq!(samples(&[0.5, 0.05, 0.6], Unit::Seconds), "0.500 s (50.0 ms to 0.600 s)");
