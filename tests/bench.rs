@@ -163,7 +163,7 @@ fn the_page_needs_no_other_file() {
 #[test]
 fn tables_replace_what_stands_between_marks() {
     let (folder, suite) = written();
-    let table = markdown::table(&suite.groups[0].subjects[0]);
+    let table = markdown::table(&suite.groups[0].subjects[0], &markdown::Choice::default());
     assert!(
         table.contains("| fast | 4 samples a pixel | 1.00 s (0.950 to 1.10) | 5.00 % (4.75 to 5.50) |"),
         "{table}"
@@ -181,6 +181,22 @@ fn tables_replace_what_stands_between_marks() {
     // Again: nothing but the same.
     assert_eq!(twopass(&["bench", "--tables", "README.md", "-o", "."], folder.path()).0, 0);
     assert_eq!(fs::read_to_string(&readme).unwrap(), new);
+
+    let chosen = "<!-- bench images/room columns: relative RMSE; series: slow; at: 4, 16 --><!-- /bench -->";
+    fs::write(&readme, chosen).unwrap();
+    assert_eq!(twopass(&["bench", "--tables", "README.md", "-o", "."], folder.path()).0, 0);
+    let part = fs::read_to_string(&readme).unwrap();
+    let rows: Vec<&str> = part.lines().filter(|l| l.starts_with('|')).collect();
+    let expected = [
+        "| | | relative RMSE |",
+        "| --- | --- | --- |",
+        "| slow | 4 samples a pixel | 5.00 % (4.75 to 5.50) |",
+        "| slow | 16 samples a pixel | 2.50 % (2.38 to 2.75) |",
+    ];
+    assert_eq!(rows, expected);
+    fs::write(&readme, "<!-- bench images/room rows: 4 --><!-- /bench -->").unwrap();
+    let run = twopass(&["bench", "--tables", "README.md", "-o", "."], folder.path());
+    assert!(run.0 == 1 && run.2.contains("README.md:1") && run.2.contains("rows"), "{}", run.2);
 
     fs::write(&readme, "a\n<!-- bench images/room -->\nno end").unwrap();
     let run = twopass(&["bench", "--tables", "README.md", "-o", "."], folder.path());

@@ -39,7 +39,7 @@ struct Call {
 fn scene(context: &Context, name: &str) -> Result<(Subject, Option<Figure>)> {
     let scene = embedded(name)?;
     let visibility = Visibility::new(context.device, &scene)?;
-    let size = context.choose(3.0, 1.5) * default_element_size(&scene);
+    let size = context.choose(3.0, 2.0) * default_element_size(&scene);
     let mesh = Mesh::new(&scene, &Sides::fronts(&scene), size, true)?;
     let rays = context.choose(256, 1024);
     let mut subject = Subject::new(
@@ -60,7 +60,7 @@ fn scene(context: &Context, name: &str) -> Result<(Subject, Option<Figure>)> {
             .num_threads(n)
             .build()
             .map_err(|e| Error::Usage(format!("{n} threads: {e}")))?;
-        rounds(context.settings.seed, context.choose(3, 7), |seed, counts| {
+        rounds(context.settings.seed, context.choose(3, 5), |seed, counts| {
             (context.observer)(&format!("embree: {name}, {n} threads, seed {seed}"));
             let rates: Vec<f64> = pool.install(|| {
                 calls.iter().map(|&call| embree_rate(&visibility, &mesh, rays, seed, call)).collect()

@@ -1,27 +1,18 @@
 //! Error of images over the time they take, for every method, against converged references.
 
-use super::record::{Chart, Figure, PARAMETER, Picture, Strip, Subject, Unit};
-use super::reference::{Reference, path_settings, reference, sees_specular};
+use super::foreign::references;
+use super::pictures::{Kept, pictures};
+use super::record::{Chart, Figure, PARAMETER, Point, Subject, Unit};
+use super::reference::{reference, sees_specular};
+use super::view::{ERROR, FIRST, NEXT, SPP, View, settings};
 use super::{Context, Measurements, embedded};
-use crate::color;
+use crate::Result;
 use crate::emitters::Emitters;
-use crate::image::{
-    Comparison, Image, error_within, png, read_exr, read_mask_npy, relative_rmse_halves,
-    relative_rmse_of_halves, signed_difference, srgb_bytes,
-};
-use crate::pipeline::{self, Pass1};
+use crate::pipeline::Pass1;
 use crate::radiosity::Solution;
-use crate::render::{Estimator, Method, Quality, Settings, render};
-use crate::scene::{Camera, load};
+use crate::render::{Estimator, Method, Quality, Settings};
+use crate::scene::Scene;
 use crate::visibility::Visibility;
-use crate::{Error, Result};
-use std::path::Path;
-use std::time::Instant;
-
-const FIRST: &str = "first frame";
-const NEXT: &str = "following frame";
-const ERROR: &str = "relative RMSE";
-const SPP: &str = "samples a pixel";
 
 const QUALITIES: [(&str, Quality); 3] =
     [("mesh", Quality::Mesh), ("direct", Quality::Direct), ("gather", Quality::Gather)];
@@ -35,84 +26,15 @@ pub fn run(context: &Context) -> Result<Measurements> {
     Ok(found)
 }
 
-fn settings(method: Method, spp: u32, seed: u32) -> Settings {
-    match method {
-        Method::Path => path_settings(spp, seed),
-        _ => {
-            Settings { method, spp, gather_rays: 32, emitter_samples: 4, estimator: Estimator::Lobe(4), seed }
-        }
-    }
-}
-
-/// One scene, ready to be rendered over and over.
-struct Stage<'a, 's> {
-    context: &'a Context<'a>,
-    visibility: &'a Visibility<'s>,
-    emitters: &'a Emitters,
-    camera: &'a Camera,
-    reference: &'a Reference,
-}
-
-/// A frame and what it cost.
-struct Frame {
-    image: Image,
-    seconds: f64,
-    rays: u64,
-}
-
-impl Stage<'_, '_> {
-    fn frame(&self, settings: &Settings, solution: Option<&Solution>) -> Frame {
-        let start = Instant::now();
-        let (image, rays) = render(self.visibility, self.emitters, solution, self.camera, settings, &|_| ());
-        Frame { image, seconds: start.elapsed().as_secs_f64(), rays }
-    }
-
-    /// Pass 1 with its wall time \[s\].
-    fn solve(&self, pass1: &Pass1) -> Result<(Solution, f64)> {
-        let start = Instant::now();
-        let cameras = std::slice::from_ref(self.camera);
-        let stages = &mut Vec::new();
-        let solved = pipeline::solve(self.visibility, self.emitters, cameras, pass1, &|_| (), stages)?;
-        Ok((solved.solution, start.elapsed().as_secs_f64()))
-    }
-
-    fn compare(&self, image: &Image, mask: &[bool]) -> Result<Comparison> {
-        let [a, b] = &self.reference.halves;
-        relative_rmse_halves(image, a, b, Some(mask))
-    }
-
-    /// Adds a frame's time and error to a point; `pass1` is the time before the first frame.
-    fn record(
-        &self,
-        subject: &mut Subject,
-        (series, parameter, at): (&str, &str, f64),
-        frame: &Frame,
-        pass1: f64,
-        mask: &[bool],
-    ) -> Result<()> {
-        let c = self.compare(&frame.image, mask)?;
-        let point = subject.series(series, parameter).at(at);
-        point.push(FIRST, Unit::Seconds, pass1 + frame.seconds);
-        point.push(NEXT, Unit::Seconds, frame.seconds);
-        point.push(ERROR, Unit::Share, c.relative_rmse);
-        point.push("standard error", Unit::Share, c.standard_error);
-        point.push("bias", Unit::Share, c.mean_bias);
-        point.push("rays of a frame", Unit::Count, frame.rays as f64);
-        let error = point.summary(ERROR).map_or(0.0, |s| s.median);
-        point.unresolved = error < self.reference.resolution;
-        Ok(())
-    }
-}
-
 fn scene(context: &Context, name: &str, found: &mut Measurements) -> Result<()> {
     let scene = embedded(name)?;
-    let width = context.choose(64, 192);
+    let width = context.choose(64, 160);
     let mut camera = scene.camera(None)?.clone();
     camera.size = [width, width * camera.size[1] / camera.size[0]];
     let visibility = Visibility::new(context.device, &scene)?;
     let emitters = Emitters::new(&scene);
     let reference = reference(context, &visibility, &emitters, &camera, context.choose(1024, 2048))?;
-    let stage = Stage {
+    let stage = View {
         context,
         visibility: &visibility,
         emitters: &emitters,
@@ -128,8 +50,7 @@ fn scene(context: &Context, name: &str, found: &mut Measurements) -> Result<()> 
          pixels that see a lamp directly are left out.",
     );
     let kept = methods(&stage, &mut subject)?;
-    let defaults = Pass1::of(&scene);
-    elements(&stage, &mut subject, &defaults)?;
+    elements(&stage, &mut subject)?;
     let floor = Some(("smallest error the reference tells".to_string(), reference.resolution));
     let floored = |mut chart: Chart| {
         chart.floor = floor.clone();
@@ -153,9 +74,9 @@ fn scene(context: &Context, name: &str, found: &mut Measurements) -> Result<()> 
             ERROR,
             "The same pictures when the solution of pass 1 is kept, as for the second and every later view of a scene.",
         )
+        .only(&["mesh", "direct", "gather", "path"])
         .guide("theory of random sampling: -1/2", -0.5),
     ));
-    let sampled: Vec<_> = subject.series.iter().filter(|s| s.parameter == SPP).cloned().collect();
     subject.charts.push(floored(
         Chart::new(
             "Error over samples a pixel",
@@ -165,7 +86,8 @@ fn scene(context: &Context, name: &str, found: &mut Measurements) -> Result<()> 
              Sobol) sequence, which does better where the light varies smoothly over the pixel and no worse elsewhere. Slopes \
              nearer 0 tell of the floor that the elements set.",
         )
-        .fitted(&sampled)
+        .only(&["mesh", "direct", "gather", "path"])
+        .fitted(&subject.series)
         .guide("random sampling: -1/2", -0.5),
     ));
     subject.notes.push(format!(
@@ -184,29 +106,28 @@ fn scene(context: &Context, name: &str, found: &mut Measurements) -> Result<()> 
     Ok(())
 }
 
-/// A picture of the first round with what it cost, for the strips.
-struct Kept {
-    series: &'static str,
-    spp: u32,
-    first: f64,
-    image: Image,
+/// The scene file's settings of pass 1; coarser in a quick run.
+fn pass1(context: &Context, scene: &Scene) -> Pass1 {
+    let full = Pass1::of(scene);
+    let quick = Pass1 { rays: 256, element_size: full.element_size.map(|s| 2.0 * s), ..full };
+    context.choose(quick, full)
 }
 
 /// Every method over its samples a pixel.
-fn methods(stage: &Stage, subject: &mut Subject) -> Result<Vec<Kept>> {
+fn methods(stage: &View, subject: &mut Subject) -> Result<Vec<Kept>> {
     let context = stage.context;
     let two_pass: &[u32] = context.choose(&[1, 4, 16], &[1, 4, 16, 64]);
     let path: &[u32] = context.choose(&[4, 16, 64, 256], &[1, 4, 16, 64, 256, 512]);
     let mut kept = Vec::new();
     let mask = &stage.reference.mask;
-    let first = Pass1::of(stage.visibility.scene());
+    let first = pass1(context, stage.visibility.scene());
     // Warm-up: both passes once, small.
     let (solution, _) = stage.solve(&Pass1 { rays: 64, ..first })?;
     stage.frame(&settings(Method::TwoPass(Quality::Gather), 1, 0), Some(&solution));
     for round in 0..context.choose(2, 3) {
         let seed = context.settings.seed.wrapping_add(round);
         (context.observer)(&format!("images: {}, seed {seed}", subject.name));
-        let (solution, pass1) = stage.solve(&Pass1 { seed, ..first })?;
+        let (solution, before) = stage.solve(&Pass1 { seed, ..first })?;
         let mut one =
             |name: &'static str, method, spp: u32, solution: Option<&Solution>, before| -> Result<()> {
                 let frame = stage.frame(&settings(method, spp, seed), solution);
@@ -218,7 +139,7 @@ fn methods(stage: &Stage, subject: &mut Subject) -> Result<Vec<Kept>> {
             };
         for (name, quality) in QUALITIES {
             for &spp in two_pass {
-                one(name, Method::TwoPass(quality), spp, Some(&solution), pass1)?;
+                one(name, Method::TwoPass(quality), spp, Some(&solution), before)?;
             }
         }
         for &spp in path {
@@ -229,15 +150,16 @@ fn methods(stage: &Stage, subject: &mut Subject) -> Result<Vec<Kept>> {
 }
 
 /// `mesh` over the size of its elements.
-fn elements(stage: &Stage, subject: &mut Subject, defaults: &Pass1) -> Result<()> {
+fn elements(stage: &View, subject: &mut Subject) -> Result<()> {
+    let defaults = pass1(stage.context, stage.visibility.scene());
     let Some(size) = defaults.element_size else { return Ok(()) };
-    let factors: &[f64] = stage.context.choose(&[4.0, 2.0, 1.0], &[4.0, 2.0, 1.0, 0.5]);
+    let factors: &[f64] = stage.context.choose(&[2.0, 1.0, 0.5], &[4.0, 2.0, 1.0, 0.5]);
     for round in 0..stage.context.choose(1, 3) {
         let seed = stage.context.settings.seed.wrapping_add(round);
         (stage.context.observer)(&format!("images: {}, elements, seed {seed}", subject.name));
         for factor in factors {
-            let pass1 = Pass1 { element_size: Some(size * factor), seed, ..*defaults };
-            let (solution, seconds) = stage.solve(&pass1)?;
+            let settings_of = Pass1 { element_size: Some(size * factor), seed, ..defaults };
+            let (solution, seconds) = stage.solve(&settings_of)?;
             let frame = stage.frame(&settings(Method::TwoPass(Quality::Mesh), 16, seed), Some(&solution));
             let at = ("mesh, finer elements", "elements", solution.mesh.len() as f64);
             stage.record(subject, at, &frame, seconds, &stage.reference.mask)?;
@@ -247,7 +169,7 @@ fn elements(stage: &Stage, subject: &mut Subject, defaults: &Pass1) -> Result<()
 }
 
 /// Frustum and importance sampling of glossy lobes with equal numbers of rays, where the view meets glossy surfaces.
-fn lobes(stage: &Stage, name: &str) -> Result<Subject> {
+fn lobes(stage: &View, name: &str) -> Result<Subject> {
     let context = stage.context;
     let specular = sees_specular(stage.visibility, stage.camera);
     let mask: Vec<bool> = specular.iter().zip(&stage.reference.mask).map(|(a, b)| *a && *b).collect();
@@ -266,7 +188,7 @@ fn lobes(stage: &Stage, name: &str) -> Result<Subject> {
         return Ok(subject);
     }
     let grids: &[u32] = context.choose(&[1, 2, 4], &[1, 2, 4, 8]);
-    let (solution, pass1) = stage.solve(&Pass1::of(stage.visibility.scene()))?;
+    let (solution, before) = stage.solve(&pass1(context, stage.visibility.scene()))?;
     for round in 0..context.choose(2, 5) {
         let seed = context.settings.seed.wrapping_add(round);
         (context.observer)(&format!("images: {}, seed {seed}", subject.name));
@@ -276,7 +198,7 @@ fn lobes(stage: &Stage, name: &str) -> Result<Subject> {
                 let base = settings(Method::TwoPass(Quality::Direct), 4, seed);
                 let frame = stage.frame(&Settings { estimator, ..base }, Some(&solution));
                 let at = (series, "rays over the lobe", f64::from(n * n));
-                stage.record(&mut subject, at, &frame, pass1, &mask)?;
+                stage.record(&mut subject, at, &frame, before, &mask)?;
             }
         }
     }
@@ -290,81 +212,11 @@ fn lobes(stage: &Stage, name: &str) -> Result<Subject> {
     Ok(subject)
 }
 
-/// Exposure [EV] that brings the mean of the reference to a middle grey.
-fn exposure(reference: &Reference) -> f64 {
-    let pixels = reference.mean.data.chunks_exact(3).zip(&reference.mask).filter(|p| *p.1);
-    let (sum, n) = pixels.fold((0.0, 0.0), |(s, n), (p, _)| {
-        (s + color::mean(color::Rgb::new(f64::from(p[0]), f64::from(p[1]), f64::from(p[2]))), n + 1.0)
-    });
-    (0.22f64 * n / sum).log2()
-}
-
-/// The reference beside every method after about the same time, and their errors in false colours.
-fn pictures(stage: &Stage, subject: &Subject, kept: &[Kept], name: &str) -> Result<Vec<Strip>> {
-    let gather = kept.iter().filter(|k| k.series == "gather" && k.spp <= 16).map(|k| k.first);
-    let budget = gather.fold(0.0, f64::max);
-    let mut chosen: Vec<&Kept> = Vec::new();
-    for series in ["mesh", "direct", "gather", "path"] {
-        let off = |k: &&Kept| (k.first / budget).ln().abs();
-        let best = kept.iter().filter(|k| k.series == series).min_by(|a, b| off(a).total_cmp(&off(b)));
-        chosen.extend(best);
-    }
-    let reference = stage.reference;
-    let ev = exposure(reference);
-    let [width, height] = stage.camera.size.map(|n| n as usize);
-    let shown = |image: &Image| png(width, height, &srgb_bytes(image, ev));
-    let file = |what: &str| format!("pictures/images-{name}-{what}.png");
-    let caption = |k: &Kept| {
-        let series = subject.series.iter().find(|s| s.name == k.series);
-        let point = series.and_then(|s| s.points.iter().find(|p| p.parameter == f64::from(k.spp)));
-        let error = point.and_then(|p| p.get(ERROR)).map_or(0.0, |m| m.samples[0]);
-        format!("{}, {} samples a pixel: {:.2} s, error {:.2} %", k.series, k.spp, k.first, 100.0 * error)
-    };
-    let mut plain = vec![Picture {
-        caption: format!("reference, {} paths a pixel", 2 * reference.spp),
-        file: file("reference"),
-        png: shown(&reference.mean)?,
-    }];
-    let mut errors = Vec::new();
-    let mean = stage.compare(&reference.mean, &reference.mask)?.reference_mean;
-    let within = |k: &&Kept| error_within(&k.image, &reference.mean, Some(&reference.mask), 0.98) / mean;
-    // One scale for all, set by the methods in the middle: a noisy one may leave it.
-    let mut scales: Vec<f64> = chosen.iter().map(within).collect();
-    scales.sort_by(f64::total_cmp);
-    let scale = scales.get(scales.len() / 2).copied().filter(|s| *s > 0.0).unwrap_or(1.0);
-    for k in chosen {
-        plain.push(Picture { caption: caption(k), file: file(k.series), png: shown(&k.image)? });
-        let colours = signed_difference(&k.image, &reference.mean, Some(&reference.mask), scale * mean);
-        errors.push(Picture {
-            caption: k.series.to_string(),
-            file: file(&format!("{}-error", k.series)),
-            png: png(width, height, &colours)?,
-        });
-    }
-    Ok(vec![
-        Strip {
-            title: "Pictures after about the same time".into(),
-            about: format!("First frames that took about {budget:.2} s, pass 1 included, beside the reference."),
-            scale: None,
-            pictures: plain,
-        },
-        Strip {
-            title: "Their errors".into(),
-            about: "Picture minus reference: blue is too dark, red too bright, white right; grey pixels see a lamp and do not count. \
-                    Speckles are noise, which more samples remove; areas of one colour are what the elements cannot show, which \
-                    finer elements remove."
-                .into(),
-            scale: Some(scale),
-            pictures: errors,
-        },
-    ])
-}
-
 /// Seconds that `path` needs for a given error, interpolated between its points on logarithmic axes, or beyond them with
 /// the slope -1/2.
 fn path_seconds(subject: &Subject, round: usize, error: f64) -> Option<f64> {
     let path = subject.series.iter().find(|s| s.name == "path")?;
-    let at = |p: &super::record::Point, q: &str| p.get(q).and_then(|m| m.samples.get(round)).copied();
+    let at = |p: &Point, q: &str| p.get(q).and_then(|m| m.samples.get(round)).copied();
     let known: Vec<(f64, f64)> = path
         .points
         .iter()
@@ -405,66 +257,4 @@ fn figures(name: &str, subject: &Subject) -> Vec<Figure> {
     }
     list.retain(|f| !f.samples.is_empty());
     list
-}
-
-/// The path tracer against another renderer's images of known scenes.
-fn references(context: &Context) -> Result<Subject> {
-    let mut subject = Subject::new(
-        "references",
-        "The references themselves, against another renderer",
-        "References made by the program under test could share its mistakes. Here its path tracer is set against images of the same \
-         scenes by another renderer (Mitsuba 3), both as two independent halves, so that the noise of neither counts: what is left is \
-         the difference of what the two converge to.",
-    );
-    let Some(folder) = &context.settings.foreign else {
-        subject
-            .notes
-            .push("skipped: the other renderer's images are not there (--foreign names their folder)".into());
-        return Ok(subject);
-    };
-    let names: &[&str] = context.choose(
-        &["ours/cornell_diffuse"],
-        &["ours/cornell_diffuse", "ours/cornell_glossy", "ours/cornell_mirror", "mcguire/original"],
-    );
-    let spp = context.choose(32, 256);
-    for name in names {
-        let file = |end: &str| folder.join(format!("{name}{end}"));
-        if !file("_A.exr").is_file() {
-            subject.notes.push(format!("skipped: {name} is not there"));
-            continue;
-        }
-        foreign(context, &mut subject, name, &file, spp)?;
-    }
-    Ok(subject)
-}
-
-fn foreign(
-    context: &Context,
-    subject: &mut Subject,
-    name: &str,
-    file: &dyn Fn(&str) -> std::path::PathBuf,
-    spp: u32,
-) -> Result<()> {
-    let scene = load(&file(".toml"))?;
-    let camera = scene.camera(None)?;
-    let visibility = Visibility::new(context.device, &scene)?;
-    let emitters = Emitters::new(&scene);
-    let own = reference(context, &visibility, &emitters, camera, spp)?;
-    let half = |path: &Path| -> Result<Image> {
-        let image = read_exr(path)?;
-        if [image.width as u32, image.height as u32] != camera.size {
-            return Err(Error::Image { path: path.into(), message: "is not of the camera's size".into() });
-        }
-        Ok(image)
-    };
-    let (a, b) = (half(&file("_A.exr"))?, half(&file("_B.exr"))?);
-    let mask = read_mask_npy(&file("_mask.npy"), a.width, a.height)?;
-    let c = relative_rmse_of_halves([&own.halves[0], &own.halves[1]], [&a, &b], Some(&mask))?;
-    let point = subject.series(name, "paths a pixel in a half").at(f64::from(spp));
-    point.push("difference (relative RMS)", Unit::Share, c.relative_rmse);
-    point.push("standard error", Unit::Share, c.standard_error);
-    point.push("difference of the means", Unit::Share, c.mean_bias);
-    point.push("noise of ours", Unit::Share, own.standard_error);
-    point.unresolved = c.relative_mse <= 0.0;
-    Ok(())
 }

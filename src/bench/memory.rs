@@ -16,7 +16,7 @@ pub fn run(context: &Context) -> Result<Measurements> {
         "`twopass solve` on the Cornell box",
         "The most memory that the program held at once (as the system counts it: pages in memory, libraries included), each run in a \
          process of its own, from loading the scene to the written solution. Beside it the matrix of form factors, which holds 8 \
-         bytes for each pair of elements that see each other and 144 for each element, plus 8 for each independent part of its row.",
+         bytes for each entry (an element, seen from another in one of 4 independent parts of its row) and 112 for each element.",
     );
     let Some(program) = &context.settings.program else {
         subject.notes.push("skipped: the program does not know its own file".into());
@@ -24,7 +24,7 @@ pub fn run(context: &Context) -> Result<Measurements> {
     };
     let folder = tempfile::tempdir().map_err(|e| Error::io(std::env::temp_dir(), e))?;
     write_embedded("cornell", folder.path())?;
-    let sizes: &[f64] = context.choose(&[0.04, 0.013, 0.0065], &[0.04, 0.013, 0.004, 0.0013]);
+    let sizes: &[f64] = context.choose(&[0.08, 0.024, 0.01], &[0.08, 0.024, 0.0069, 0.0022]);
     let rays: &[u32] = context.choose(&[64], &[64, 1024]);
     for &rays in rays {
         // A million elements with 1024 rays each need tens of gigabytes.

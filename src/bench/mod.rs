@@ -14,14 +14,17 @@
 //! over randomisations. Timings are wall times of work on [`Context::threads`] threads unless a series says otherwise.
 
 mod embree;
+mod foreign;
 mod images;
 mod machine;
 mod memory;
+mod pictures;
 mod radiosity;
 pub mod record;
 pub mod reference;
 mod scaling;
 mod scenes;
+mod view;
 
 pub use machine::machine;
 pub use scenes::{Files, SCENES, embedded};

@@ -178,6 +178,9 @@ pub struct Chart {
     pub x: String,
     /// Quantity along y.
     pub y: String,
+    /// The series that are drawn, by name; all where none is named.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub series: Vec<String>,
     /// Label and value of a dashed horizontal line: the noise of a reference.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub floor: Option<(String, f64)>,
@@ -197,15 +200,28 @@ impl Chart {
             about: about.into(),
             x: x.into(),
             y: y.into(),
+            series: Vec::new(),
             floor: None,
             guides: Vec::new(),
             exponents: Vec::new(),
         }
     }
 
-    /// Fits the exponent of every series that has enough points.
+    /// Draws only these series.
+    pub fn only(mut self, names: &[&str]) -> Chart {
+        self.series = names.iter().map(|n| n.to_string()).collect();
+        self
+    }
+
+    /// Whether a series is drawn.
+    pub fn shows(&self, series: &Series) -> bool {
+        self.series.is_empty() || self.series.contains(&series.name)
+    }
+
+    /// Fits the exponent of every series that is drawn and has enough points.
     pub fn fitted(mut self, series: &[Series]) -> Chart {
-        self.exponents = series.iter().filter_map(|s| s.exponent(&self.x, &self.y)).collect();
+        let drawn = series.iter().filter(|s| self.shows(s));
+        self.exponents = drawn.filter_map(|s| s.exponent(&self.x, &self.y)).collect();
         self
     }
 

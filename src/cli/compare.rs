@@ -25,11 +25,10 @@ pub fn run(args: &CompareArgs) -> Result<()> {
                 diff.display()
             )));
         }
-        for input in [Some(&args.image), Some(&args.reference), args.reference_b.as_ref(), args.mask.as_ref()]
-        {
-            if let Some(input) = input {
-                check_outputs(input, [diff])?;
-            }
+        let inputs =
+            [Some(&args.image), Some(&args.reference), args.reference_b.as_ref(), args.mask.as_ref()];
+        for input in inputs.into_iter().flatten() {
+            check_outputs(input, [diff])?;
         }
     }
     let x = read_any(&args.image)?;

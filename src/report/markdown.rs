@@ -1,7 +1,7 @@
 //! Tables of a suite in Markdown, and their places in other files.
 
 use super::text;
-use crate::bench::record::{GroupRecord, Subject, Suite};
+use crate::bench::record::{GroupRecord, Series, Subject, Suite};
 use crate::{Error, Result};
 use std::fmt::Write;
 use std::path::Path;
@@ -18,7 +18,13 @@ pub fn to_markdown(suite: &Suite) -> String {
             let _ = writeln!(out, "- {}: **{}**", figure.label, text::samples(&figure.samples, figure.unit));
         }
         for subject in &group.subjects {
-            let _ = write!(out, "\n### {}\n\n{}\n\n{}", subject.title, subject.about, table(subject));
+            let _ = write!(
+                out,
+                "\n### {}\n\n{}\n\n{}",
+                subject.title,
+                subject.about,
+                table(subject, &Choice::default())
+            );
             for (k, chart) in subject.charts.iter().enumerate() {
                 let file = super::plot::file(group, subject, k);
                 let _ = write!(out, "\n![{}]({file})\n\n{}\n", chart.title, chart.about);
@@ -43,12 +49,46 @@ pub fn quantities(subject: &Subject) -> Vec<&str> {
     names
 }
 
+/// Which part of a subject's table to write; all of it where nothing is chosen.
+#[derive(Debug, Default, PartialEq)]
+pub struct Choice<'a> {
+    columns: Vec<&'a str>,
+    series: Vec<&'a str>,
+    at: Vec<f64>,
+}
+
+impl<'a> Choice<'a> {
+    /// Reads `columns: first frame, relative RMSE; series: gather, path; at: 16, 256`, every part optional.
+    fn parse(text: &'a str) -> std::result::Result<Choice<'a>, String> {
+        let mut choice = Choice::default();
+        for part in text.split(';').map(str::trim).filter(|p| !p.is_empty()) {
+            let (key, values) = part.split_once(':').ok_or_else(|| format!("{part:?} has no colon"))?;
+            let values = values.split(',').map(str::trim);
+            match key.trim() {
+                "columns" => choice.columns = values.collect(),
+                "series" => choice.series = values.collect(),
+                "at" => {
+                    let number = |v: &str| v.parse().map_err(|_| format!("{v:?} is no number"));
+                    choice.at = values.map(number).collect::<std::result::Result<_, _>>()?;
+                }
+                other => return Err(format!("{other:?} is not one of columns, series, at")),
+            }
+        }
+        Ok(choice)
+    }
+}
+
 /// One row a point: medians, and ranges in parentheses.
-pub fn table(subject: &Subject) -> String {
-    let names = quantities(subject);
+pub fn table(subject: &Subject, choice: &Choice) -> String {
+    let mut names = quantities(subject);
+    if !choice.columns.is_empty() {
+        names = choice.columns.clone();
+    }
+    let shown = |s: &&Series| choice.series.is_empty() || choice.series.contains(&s.name.as_str());
     let mut out = format!("| | | {} |\n|{}\n", names.join(" | "), " --- |".repeat(names.len() + 2));
-    for series in &subject.series {
-        for point in &series.points {
+    for series in subject.series.iter().filter(shown) {
+        for point in series.points.iter().filter(|p| choice.at.is_empty() || choice.at.contains(&p.parameter))
+        {
             let at = parameter(point.parameter, &series.parameter);
             let _ = write!(out, "| {} | {at} |", series.name);
             for name in &names {
@@ -70,7 +110,8 @@ pub fn parameter(value: f64, name: &str) -> String {
 const END: &str = "<!-- /bench -->";
 
 /// Replaces what stands between `<!-- bench GROUP/SUBJECT -->` and `<!-- /bench -->` with that subject's table,
-/// everywhere in `old`. Tables that the suite did not measure stay as they are; returns the names of those that
+/// everywhere in `old`. The mark may choose a part of it:
+/// `<!-- bench images/cornell columns: first frame, relative RMSE; series: gather, path; at: 16, 256 -->`. Tables that the suite did not measure stay as they are; returns the names of those that
 /// changed.
 pub fn replace_tables(old: &str, path: &Path, suite: &Suite) -> Result<(String, Vec<String>)> {
     const BEGIN: &str = "<!-- bench ";
@@ -83,7 +124,9 @@ pub fn replace_tables(old: &str, path: &Path, suite: &Suite) -> Result<(String, 
             return Err(broken("this mark does not end with -->"));
         };
         let inner = begin + close + 3;
-        let name = old[begin + BEGIN.len()..inner - 3].trim();
+        let mark = old[begin + BEGIN.len()..inner - 3].trim();
+        let (name, chosen) = mark.split_once(' ').unwrap_or((mark, ""));
+        let choice = Choice::parse(chosen).map_err(|message| broken(&message))?;
         let Some(end) = old[inner..].find(END).map(|k| inner + k) else {
             return Err(broken(&format!("no {END} follows this mark")));
         };
@@ -93,7 +136,7 @@ pub fn replace_tables(old: &str, path: &Path, suite: &Suite) -> Result<(String, 
         new.push_str(&old[rest..inner]);
         match find(suite, name) {
             Some((group, subject)) => {
-                let _ = write!(new, "\n{}\n", block(suite, group, subject));
+                let _ = write!(new, "\n{}\n", block(suite, group, subject, &choice));
                 changed.push(name.to_string());
             }
             None => new.push_str(&old[inner..end]),
@@ -121,11 +164,11 @@ fn find<'a>(suite: &'a Suite, name: &str) -> Option<(&'a GroupRecord, &'a Subjec
     Some((group, group.subjects.iter().find(|s| s.name == subject)?))
 }
 
-fn block(suite: &Suite, group: &GroupRecord, subject: &Subject) -> String {
+fn block(suite: &Suite, group: &GroupRecord, subject: &Subject, choice: &Choice) -> String {
     let quick = if suite.machine.quick { " --quick" } else { "" };
     format!(
         "{}\nMedians and ranges by `twopass bench {}{quick} -o DIR`; {}.",
-        table(subject),
+        table(subject, choice),
         group.name,
         text::machine(suite)
     )

@@ -229,8 +229,3 @@ pub fn peak_memory() -> u64 {
     let kib = line.and_then(|l| l.trim().trim_end_matches("kB").trim().parse::<u64>().ok());
     kib.unwrap_or(0) * 1024
 }
-
-/// Forgets the peak so far, so that [`peak_memory`] tells of what comes; false where the system does not allow it.
-pub fn reset_peak_memory() -> bool {
-    std::fs::write("/proc/self/clear_refs", "5").is_ok()
-}

@@ -38,6 +38,9 @@ struct Dot {
 }
 
 fn dots(series: &Series, chart: &Chart) -> Vec<Dot> {
+    if !chart.shows(series) {
+        return Vec::new();
+    }
     let dot = |p: &crate::bench::record::Point| {
         let (x, y) = (p.summary(&chart.x)?, p.summary(&chart.y)?);
         (x.low > 0.0 && y.median > 0.0).then_some(Dot { x, y, unresolved: p.unresolved })

@@ -46,7 +46,8 @@ fn digits(x: f64) -> String {
 
 /// A whole number in groups of three digits.
 fn count(x: f64) -> String {
-    if x.fract() != 0.0 || x.abs() >= 1e15 {
+    // A median of two counts may lie between them.
+    if (x.fract() != 0.0 && x.abs() < 100.0) || x.abs() >= 1e15 {
         return digits(x);
     }
     let plain = format!("{:.0}", x.abs());
@@ -113,6 +114,8 @@ mod tests {
             (12.0, Unit::Bytes, "12.0 B"),
             (1_234_567.0, Unit::Count, "1,234,567"),
             (16.0, Unit::Count, "16"),
+            (16.5, Unit::Count, "16.5"),
+            (2_193_463.4, Unit::Count, "2,193,463"),
             (0.731, Unit::Plain, "0.731"),
             (3.2e-9, Unit::Plain, "3.2e-9"),
             (0.0, Unit::Plain, "0"),
