@@ -2,6 +2,8 @@
 //!
 //! Single-threaded, on the repository's Cornell box. What users wait for is measured by `twopass bench`.
 
+#![allow(missing_docs)] // of the functions that criterion's macros make
+
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use std::hint::black_box;
 use twopass::bench::embedded;
@@ -17,17 +19,15 @@ use twopass::visibility::Visibility;
 const RAYS: u32 = 1024;
 
 fn kernels(c: &mut Criterion) {
+    // One thread: a regression must not hide behind the scheduler.
+    rayon::ThreadPoolBuilder::new().num_threads(1).build_global().expect("the first pool");
     let scene = embedded("cornell").expect("a scene that the program holds");
     let device = Device::new(1).expect("Embree");
     let visibility = Visibility::new(&device, &scene).expect("a tree");
     let size = 4.0 * default_element_size(&scene);
     let mesh = Mesh::new(&scene, &Sides::fronts(&scene), size, true).expect("a mesh");
-    // One thread: a regression must not hide behind the scheduler.
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
-    pool.install(|| {
-        rays(c, &visibility, &mesh);
-        rows(c, &scene, &visibility, &mesh);
-    });
+    rays(c, &visibility, &mesh);
+    rows(c, &scene, &visibility, &mesh);
 }
 
 fn rays(c: &mut Criterion, visibility: &Visibility, mesh: &Mesh) {

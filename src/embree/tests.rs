@@ -247,7 +247,7 @@ fn queries_of_all_widths_agree() {
     let (vertices, triangles, quads) = two_faces();
     let device = Device::new(1).unwrap();
     let scene = CommittedScene::new(&device, &vertices, &triangles, &quads).unwrap();
-    let rays: Vec<Ray> = (0..64).map(|k| down(0.05 + 0.1 * (k % 8) as f32, 0.3 * (k / 8) as f32)).collect();
+    let rays: Vec<Ray> = (0..64).map(|k| down(0.05 + 0.3 * (k % 8) as f32, 0.5 * (k / 8) as f32)).collect();
     let trace = |width| {
         let mut queries = Queries::new(&rays, width);
         scene.trace(&mut queries, width == Width::Sixteen);
