@@ -1,13 +1,13 @@
 //! Embree alone, and the form-factor stage beside it on the same rays.
 
 use super::record::{Chart, Figure, PARAMETER, Subject, Unit};
-use super::{Context, Measurements, embedded, rounds};
+use super::{Context, Measurements, embedded, pool, rounds, thread_counts, threads_in_words};
+use crate::Result;
 use crate::embree::{Queries, Ray, Width};
 use crate::form_factor::{Casting, cast, element_rays};
 use crate::mesh::{Mesh, Sides, default_element_size};
 use crate::sampling::{SobolTable, seed_of};
 use crate::visibility::Visibility;
-use crate::{Error, Result};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::time::Instant;
@@ -53,13 +53,10 @@ fn scene(context: &Context, name: &str) -> Result<(Subject, Option<Figure>)> {
     let calls: Vec<Call> =
         Width::ALL.into_iter().flat_map(|width| [true, false].map(|sorted| Call { width, sorted })).collect();
     let all = context.threads();
-    let threads = if all == 1 { vec![1] } else { vec![1, all] };
+    let threads = thread_counts(context);
     let mut ratios = Vec::new();
     for &n in &threads {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(n)
-            .build()
-            .map_err(|e| Error::Usage(format!("{n} threads: {e}")))?;
+        let pool = pool(n)?;
         rounds(context.settings.seed, context.choose(3, 5), |seed, counts| {
             (context.observer)(&format!("embree: {name}, {n} threads, seed {seed}"));
             let rates: Vec<f64> = pool.install(|| {
@@ -75,7 +72,7 @@ fn scene(context: &Context, name: &str) -> Result<(Subject, Option<Figure>)> {
             let order = |sorted: bool| if sorted { "Embree alone, sorted" } else { "Embree alone, unsorted" };
             let alone = calls.iter().map(|c| (order(c.sorted), c.width.rays())).zip(rates.iter().copied());
             for ((kind, width), rate) in alone.chain([((STAGE, Width::Sixteen.rays()), stage)]) {
-                let threads = if n == 1 { "1 thread".to_string() } else { format!("{n} threads") };
+                let threads = threads_in_words(n);
                 let series = subject.series(&format!("{kind}, {threads}"), "rays a call");
                 let point = series.at(width as f64);
                 point.push(RATE, Unit::RaysPerSecond, rate);

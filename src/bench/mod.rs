@@ -160,6 +160,23 @@ impl Context<'_> {
     }
 }
 
+/// A pool of `n` threads, for measurements that compare their number.
+fn pool(n: usize) -> Result<rayon::ThreadPool> {
+    let built = rayon::ThreadPoolBuilder::new().num_threads(n).build();
+    built.map_err(|e| Error::Usage(format!("{n} threads: {e}")))
+}
+
+/// One thread, and all of them.
+fn thread_counts(context: &Context) -> Vec<usize> {
+    let all = context.threads();
+    if all == 1 { vec![1] } else { vec![1, all] }
+}
+
+/// `1 thread`, `2 threads`.
+fn threads_in_words(n: usize) -> String {
+    if n == 1 { "1 thread".into() } else { format!("{n} threads") }
+}
+
 /// Runs `work` once unheard as a warm-up, then `count` times with the seeds from `seed` on.
 pub fn rounds(seed: u32, count: u32, mut work: impl FnMut(u32, bool) -> Result<()>) -> Result<()> {
     work(seed, false)?;

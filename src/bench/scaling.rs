@@ -1,11 +1,11 @@
 //! Time, rate and memory over the number of elements, on one thread and on all.
 
 use super::record::{Chart, Figure, PARAMETER, Subject, Unit};
-use super::{Context, Measurements, embedded};
+use super::{Context, Measurements, embedded, pool, thread_counts, threads_in_words};
+use crate::Result;
 use crate::emitters::Emitters;
 use crate::pipeline::{self, Pass1, Stage};
 use crate::visibility::Visibility;
-use crate::{Error, Result};
 
 /// Rays an element.
 const RAYS: u32 = 64;
@@ -25,7 +25,7 @@ pub fn run(context: &Context) -> Result<Measurements> {
     );
     let all = context.threads();
     let mut rate = Vec::new();
-    let threads = if all == 1 { vec![1] } else { vec![1, all] };
+    let threads = thread_counts(context);
     let mut speedup = Vec::new();
     for &count in counts {
         // Two-sided faces and cells shorter than asked for make 2.55 times as many as the area alone.
@@ -36,10 +36,7 @@ pub fn run(context: &Context) -> Result<Measurements> {
             let seed = context.settings.seed.wrapping_add(round);
             let mut seconds = Vec::new();
             for &n in &threads {
-                let pool = rayon::ThreadPoolBuilder::new()
-                    .num_threads(n)
-                    .build()
-                    .map_err(|e| Error::Usage(format!("{n} threads: {e}")))?;
+                let pool = pool(n)?;
                 (context.observer)(&format!("scaling: about {count} elements, {n} threads, seed {seed}"));
                 let mut stages: Vec<Stage> = Vec::new();
                 let settings = Pass1 { rays: RAYS, element_size, seed };
@@ -48,7 +45,7 @@ pub fn run(context: &Context) -> Result<Measurements> {
                     pipeline::solve(&visibility, &emitters, &[], &settings, &|_| (), &mut stages)
                 })?;
                 let total = start.elapsed().as_secs_f64();
-                let series = if n == 1 { "1 thread".to_string() } else { format!("{n} threads") };
+                let series = threads_in_words(n);
                 let point = subject.series(&series, "elements").at(result.solution.mesh.len() as f64);
                 point.push(TIME, Unit::Seconds, total);
                 for stage in &stages {
@@ -66,7 +63,7 @@ pub fn run(context: &Context) -> Result<Measurements> {
             }
             if let [one, many] = seconds[..] {
                 let size = subject.series[0].points.last().map_or(count, |p| p.parameter);
-                let point = subject.series(&format!("{all} threads"), "elements").at(size);
+                let point = subject.series(&threads_in_words(all), "elements").at(size);
                 point.push("speed-up by threads", Unit::Plain, one / many);
                 if count == counts[counts.len() - 1] {
                     speedup.push(one / many);
