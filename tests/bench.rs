@@ -165,7 +165,7 @@ fn tables_replace_what_stands_between_marks() {
     let (folder, suite) = written();
     let table = markdown::table(&suite.groups[0].subjects[0], &markdown::Choice::default());
     assert!(
-        table.contains("| fast | 4 samples a pixel | 1.00 s (0.950 to 1.10) | 5.00 % (4.75 to 5.50) |"),
+        table.contains("| fast | samples a pixel: 4 | 1.00 s (0.950 to 1.10) | 5.00 % (4.75 to 5.50) |"),
         "{table}"
     );
     let readme = folder.path().join("README.md");
@@ -190,8 +190,8 @@ fn tables_replace_what_stands_between_marks() {
     let expected = [
         "| | | relative RMSE |",
         "| --- | --- | --- |",
-        "| slow | 4 samples a pixel | 5.00 % (4.75 to 5.50) |",
-        "| slow | 16 samples a pixel | 2.50 % (2.38 to 2.75) |",
+        "| slow | samples a pixel: 4 | 5.00 % (4.75 to 5.50) |",
+        "| slow | samples a pixel: 16 | 2.50 % (2.38 to 2.75) |",
     ];
     assert_eq!(rows, expected);
     fs::write(&readme, "<!-- bench images/room rows: 4 --><!-- /bench -->").unwrap();
@@ -229,6 +229,36 @@ fn unknown_groups_are_named_beside_the_known() {
     assert!(code == 1 && err.contains("file"), "{err}");
     let (code, _, err) = twopass(&["bench", "embree", "-o", "out", "--foreign", "none"], folder.path());
     assert!(code == 2 && err.contains("none"), "{err}");
+}
+
+/// A whole group through the command line: the memory of child processes, which hold the stated bytes.
+#[test]
+fn a_group_runs_to_its_report() {
+    let folder = tempfile::tempdir().unwrap();
+    let (code, out, err) =
+        twopass(&["bench", "memory", "-o", "made/here", "--quick", "--quiet"], folder.path());
+    assert_eq!((code, out.as_str(), err.as_str()), (0, "", ""));
+    let records = folder.path().join("made/here");
+    for file in ["bench.csv", "report.md", "report.html", "plots/memory-solve-1.svg"] {
+        assert!(records.join(file).is_file(), "{file}");
+    }
+    let suite = suite::read(&records).unwrap();
+    let machine = &suite.machine;
+    assert!(machine.quick && machine.command[1..3] == ["bench", "memory"], "{machine:?}");
+    for name in ["twopass", "Embree", "OpenImageIO", "compiler"] {
+        let version = machine.versions.iter().find(|v| v.0 == name).map(|v| v.1.as_str());
+        assert!(version.is_some_and(|v| v.contains('.')), "{name}: {version:?}");
+    }
+    assert!(machine.date.starts_with("20") && machine.date.ends_with('Z'), "{}", machine.date);
+    let points = &suite.groups[0].subjects[0].series[0].points;
+    assert_eq!(points.len(), 3);
+    for point in points {
+        let value = |q: &str| point.get(q).unwrap().samples[0];
+        // 8 bytes an entry, 112 an element: the matrix's own layout.
+        let expected = 8.0 * value("entries") + 112.0 * point.parameter;
+        assert!((value("matrix") / expected - 1.0).abs() < 1e-3, "{point:?}");
+        assert!(value("most memory held") > value("matrix"));
+    }
 }
 
 /// References come from the cache when asked for again, and are made anew for another view or when damaged.

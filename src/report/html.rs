@@ -170,8 +170,10 @@ fn table(out: &mut String, subject: &Subject) {
     if names.is_empty() {
         return;
     }
-    out.push_str(
-        "<details open><summary>Table</summary>\n<div class=\"wide\"><table>\n<tr><th></th><th></th>",
+    let rows: usize = subject.series.iter().map(|s| s.points.len()).sum();
+    let _ = write!(
+        out,
+        "<details><summary>Table of {rows} rows</summary>\n<div class=\"wide\"><table>\n<tr><th></th><th></th>"
     );
     for name in &names {
         let _ = write!(out, "<th>{}</th>", escape(name));

@@ -104,7 +104,7 @@ pub fn table(subject: &Subject, choice: &Choice) -> String {
 /// A parameter's value with its name; the name alone where there is nothing to vary.
 pub fn parameter(value: f64, name: &str) -> String {
     let number = text::value(value, crate::bench::record::Unit::Count);
-    if name.is_empty() { String::new() } else { format!("{number} {name}") }
+    if name.is_empty() { String::new() } else { format!("{name}: {number}") }
 }
 
 const END: &str = "<!-- /bench -->";

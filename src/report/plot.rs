@@ -98,7 +98,11 @@ fn ticks(low: f64, high: f64) -> Vec<f64> {
     let fine: Vec<f64> = (10..100).map(|k| f64::from(k) / 10.0).collect();
     let tries =
         [of(&[1.0]), of(&[1.0, 3.0]), of(&[1.0, 2.0, 5.0]), of(&[1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0])];
-    tries.into_iter().find(|t| t.len() >= 3).unwrap_or_else(|| {
+    let thinned = |t: Vec<f64>| {
+        let step = t.len().div_ceil(9);
+        t.into_iter().step_by(step).collect()
+    };
+    tries.into_iter().find(|t| t.len() >= 3).map(thinned).unwrap_or_else(|| {
         let all = of(&fine);
         let step = all.len().div_ceil(6).max(1);
         all.into_iter().step_by(step).collect()
@@ -133,8 +137,8 @@ fn draw(
         .build_cartesian_2d((x0..x1).log_scale(), (y0..y1).log_scale())?;
     plot.configure_mesh()
         .disable_mesh()
-        .x_labels(0)
-        .y_labels(0)
+        .x_label_formatter(&|_| String::new())
+        .y_label_formatter(&|_| String::new())
         .x_desc(axis(subject, chart, &chart.x))
         .y_desc(axis(subject, chart, &chart.y))
         .axis_desc_style(("sans-serif", 15))
@@ -162,6 +166,9 @@ fn draw(
             steps.map(|x| (x, my * (x / mx).powf(*slope))).filter(|p| p.1 > y0 && p.1 < y1).collect();
         if let (Some(&a), Some(&b)) = (inside.first(), inside.last()) {
             plot.draw_series(DashedLineSeries::new([a, b], 2, 4, BLACK.mix(0.5).stroke_width(1)))?;
+            // At the line's right end, on its outer side.
+            let vertical = if *slope < 0.0 { VPos::Bottom } else { VPos::Top };
+            plot.draw_series([Text::new(format!("{slope}"), b, label(HPos::Right, vertical))])?;
         }
     }
     for (k, (_, dots)) in lines.iter().enumerate() {
