@@ -27,10 +27,17 @@ pub fn run(context: &Context) -> Result<Measurements> {
     let mut rate = Vec::new();
     let threads = thread_counts(context);
     let mut speedup = Vec::new();
+    // Warm-up.
+    let small = Pass1 {
+        rays: RAYS,
+        element_size: Some((2.55 * area / counts[0]).sqrt()),
+        seed: context.settings.seed,
+    };
+    pipeline::solve(&visibility, &emitters, &[], &small, &|_| (), &mut Vec::new())?;
     for &count in counts {
         // Two-sided faces and cells shorter than asked for make 2.55 times as many as the area alone.
         let element_size = Some((2.55 * area / count).sqrt());
-        // A million elements take a minute: no warm-up, two runs.
+        // A million elements take a minute.
         let runs = if count > 2e5 { 2 } else { 3 };
         for round in 0..runs {
             let seed = context.settings.seed.wrapping_add(round);

@@ -69,7 +69,7 @@ pub struct Difference {
 pub struct Options<'a> {
     /// Which pixels count, row by row; all without it.
     pub mask: Option<&'a [bool]>,
-    /// Exposure of the perceptual metric [EV].
+    /// Exposure of the perceptual metric \[EV\].
     pub exposure: f64,
 }
 

@@ -156,7 +156,7 @@ enum Samples<'a> {
     Floats(&'a [f32]),
 }
 
-/// sRGB bytes of an image as 8-bit formats hold them, after exposure [EV].
+/// sRGB bytes of an image as 8-bit formats hold them, after exposure \[EV\].
 pub fn srgb_bytes(image: &Image, exposure: f64) -> Vec<u8> {
     let scale = exposure.exp2();
     image.data.iter().map(|&v| (srgb_encode(f64::from(v) * scale) * 255.0).round() as u8).collect()
