@@ -2,13 +2,14 @@ CARGO ?= cargo
 SCENE := scenes/cornell/cornell.toml
 TWOPASS := $(or $(CARGO_TARGET_DIR),target)/release/twopass
 
-.PHONY: help setup build render test lint bench test-debian13
+.PHONY: help setup build render test lint bench tables test-debian13
 
 help:
 	@echo "make render         render $(SCENE) to out/cornell.exr and out/cornell.png"
 	@echo "make test           run every test, documentation examples included"
 	@echo "make lint           check formatting, clippy and the documentation"
-	@echo "make bench          rays per second and error over time (the tables of the README)"
+	@echo "make bench          measure everything (forty minutes) and write out/bench/report.html"
+	@echo "make tables         put the measured tables into the README"
 	@echo "make test-debian13  run the tests in a Debian 13 root (Embree 4, cargo 1.85); needs root"
 	@echo "make setup          install the Debian packages that are missing"
 
@@ -33,8 +34,11 @@ lint: setup
 	$(CARGO) clippy --locked --all-targets -- -D warnings
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --locked --no-deps
 
-bench: setup
-	$(CARGO) bench --locked --bench rates --bench images
+bench: build
+	$(TWOPASS) bench -o out/bench
+
+tables:
+	$(TWOPASS) bench --tables README.md -o out/bench
 
 test-debian13: setup
 	@bash ci/debian13.sh

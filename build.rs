@@ -12,6 +12,7 @@ fn main() {
     for variable in ["EMBREE_DIR", "OIIO_DIR"] {
         println!("cargo::rerun-if-env-changed={variable}");
     }
+    compiler();
     need_libclang();
     embree();
     oiio();
@@ -22,6 +23,14 @@ fn fail(message: &str) -> ! {
     println!("cargo::error={}", message.replace('\n', "; "));
     // The line alone fails the build. A failing exit code would bury it in all that was printed.
     exit(0)
+}
+
+/// Tells the program which compiler made it, for the records of benchmarks.
+fn compiler() {
+    let rustc = env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
+    let output = std::process::Command::new(rustc).arg("--version").output();
+    let version = output.map(|o| String::from_utf8_lossy(&o.stdout).trim().to_string()).unwrap_or_default();
+    println!("cargo::rustc-env=TWOPASS_RUSTC={version}");
 }
 
 /// bindgen itself panics with a page of text where libclang is missing.
@@ -115,7 +124,7 @@ fn embree() {
             "rtcSet(SceneFlags|SceneBuildQuality|GeometryBuildQuality|GeometryMask|NewGeometryBuffer)",
         )
         .allowlist_function("rtc(CommitGeometry|AttachGeometryByID|CommitScene)")
-        .allowlist_type("RTCRay|RTCRay16|RTCRayHit|RTCRayHit16")
+        .allowlist_type("RTCRay|RTCRay16|RTCRayHit|RTCRayHit4|RTCRayHit8|RTCRayHit16")
         .allowlist_type("RTC(Error|Format|BufferType|GeometryType|BuildQuality|SceneFlags|DeviceProperty)")
         .allowlist_var("RTC_VERSION");
     generate(bindings, "embree.rs");

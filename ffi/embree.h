@@ -22,6 +22,10 @@ void twopass_occluded1(RTCScene scene, struct RTCRay *ray);
 /* Nearest hits of the lanes with valid[i] == -1; `valid` and `rayhit` are 64-byte aligned. */
 void twopass_intersect16(const int *valid, RTCScene scene, struct RTCRayHit16 *rayhit, int coherent);
 
+/* The same for packets of 4 and 8, aligned to 16 and 32 bytes: to compare rates. */
+void twopass_intersect4(const int *valid, RTCScene scene, struct RTCRayHit4 *rayhit, int coherent);
+void twopass_intersect8(const int *valid, RTCScene scene, struct RTCRayHit8 *rayhit, int coherent);
+
 /* Occlusion of the lanes with valid[i] == -1; `valid` and `ray` are 64-byte aligned. */
 void twopass_occluded16(const int *valid, RTCScene scene, struct RTCRay16 *ray, int coherent);
 

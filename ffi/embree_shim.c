@@ -10,6 +10,8 @@ typedef struct RTCOccludedArguments OccludedSettings;
 #define COHERENT RTC_RAY_QUERY_FLAG_COHERENT
 #define INTERSECT1(scene, s, rayhit) rtcIntersect1(scene, rayhit, s)
 #define OCCLUDED1(scene, s, ray) rtcOccluded1(scene, ray, s)
+#define INTERSECT4(valid, scene, s, rayhit) rtcIntersect4(valid, scene, rayhit, s)
+#define INTERSECT8(valid, scene, s, rayhit) rtcIntersect8(valid, scene, rayhit, s)
 #define INTERSECT16(valid, scene, s, rayhit) rtcIntersect16(valid, scene, rayhit, s)
 #define OCCLUDED16(valid, scene, s, ray) rtcOccluded16(valid, scene, ray, s)
 #else
@@ -20,6 +22,8 @@ typedef struct RTCIntersectContext OccludedSettings;
 #define COHERENT RTC_INTERSECT_CONTEXT_FLAG_COHERENT
 #define INTERSECT1(scene, s, rayhit) rtcIntersect1(scene, s, rayhit)
 #define OCCLUDED1(scene, s, ray) rtcOccluded1(scene, s, ray)
+#define INTERSECT4(valid, scene, s, rayhit) rtcIntersect4(valid, scene, s, rayhit)
+#define INTERSECT8(valid, scene, s, rayhit) rtcIntersect8(valid, scene, s, rayhit)
 #define INTERSECT16(valid, scene, s, rayhit) rtcIntersect16(valid, scene, s, rayhit)
 #define OCCLUDED16(valid, scene, s, ray) rtcOccluded16(valid, scene, s, ray)
 #endif
@@ -34,6 +38,20 @@ void twopass_occluded1(RTCScene scene, struct RTCRay *ray) {
     OccludedSettings settings;
     INIT_OCCLUDED(&settings);
     OCCLUDED1(scene, &settings, ray);
+}
+
+void twopass_intersect4(const int *valid, RTCScene scene, struct RTCRayHit4 *rayhit, int coherent) {
+    IntersectSettings settings;
+    INIT_INTERSECT(&settings);
+    if (coherent) settings.flags = COHERENT;
+    INTERSECT4(valid, scene, &settings, rayhit);
+}
+
+void twopass_intersect8(const int *valid, RTCScene scene, struct RTCRayHit8 *rayhit, int coherent) {
+    IntersectSettings settings;
+    INIT_INTERSECT(&settings);
+    if (coherent) settings.flags = COHERENT;
+    INTERSECT8(valid, scene, &settings, rayhit);
 }
 
 void twopass_intersect16(const int *valid, RTCScene scene, struct RTCRayHit16 *rayhit, int coherent) {

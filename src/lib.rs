@@ -37,6 +37,7 @@
 //! # Ok::<(), twopass::Error>(())
 //! ```
 
+pub mod bench;
 pub mod bsdf;
 pub mod cli;
 pub mod color;

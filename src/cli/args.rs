@@ -19,6 +19,10 @@ pub enum Command {
     Solve(SolveArgs),
     /// Compute form (view) factors.
     FormFactors(FormFactorArgs),
+    /// Measure the error of an image against a reference.
+    Compare(CompareArgs),
+    /// Measure speed beside error and write a report.
+    Bench(BenchArgs),
     /// Print what a scene holds, and what is modelled for it and what is not.
     Info(InfoArgs),
 }
@@ -133,6 +137,56 @@ pub struct FormFactorArgs {
     pub report: Option<PathBuf>,
     #[command(flatten)]
     pub pass1: Pass1Args,
+    #[command(flatten)]
+    pub common: Common,
+}
+
+#[derive(Debug, ClapArgs)]
+pub struct CompareArgs {
+    /// Image to judge: .exr, .pfm, .hdr, .png, .tif, .jpg.
+    pub image: PathBuf,
+    /// What it should be.
+    pub reference: PathBuf,
+    /// A second, independent reference: with both, the error is free of their noise.
+    pub reference_b: Option<PathBuf>,
+    /// Pixels that count: a NumPy file of booleans (.npy), or an image that is not black there.
+    #[arg(long, value_name = "MASK")]
+    pub mask: Option<PathBuf>,
+    /// Picture of the signed error in false colours to write: blue is too dark, red too bright.
+    #[arg(long, value_name = "OUT.png")]
+    pub diff: Option<PathBuf>,
+    /// Error at the ends of the colours of --diff, in units of the reference's mean [default: what 99 % of the pixels
+    /// stay within].
+    #[arg(long, value_name = "X", requires = "diff", value_parser = length, allow_negative_numbers = true)]
+    pub diff_scale: Option<f64>,
+    /// Exposure of the perceptual metric [EV]: radiance is multiplied by 2 to this power before it is shown.
+    #[arg(long, value_name = "EV", default_value_t = 0.0, allow_negative_numbers = true)]
+    pub exposure: f64,
+    /// Print JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Debug, ClapArgs)]
+pub struct BenchArgs {
+    /// Groups to run [default: all]. An unknown name lists them.
+    pub names: Vec<String>,
+    /// Folder of the records and the report.
+    #[arg(short, long, value_name = "DIR")]
+    pub output: PathBuf,
+    /// Fewer and smaller measurements: two minutes instead of forty.
+    #[arg(long)]
+    pub quick: bool,
+    /// Replace the tables in a Markdown file with those of the records in DIR; measures nothing.
+    #[arg(long, value_name = "README.md", conflicts_with_all = ["names", "quick"])]
+    pub tables: Option<PathBuf>,
+    /// Folder of cached references [default: twopass in the user's cache folder].
+    #[arg(long, value_name = "DIR")]
+    pub cache: Option<PathBuf>,
+    /// Folder of scenes with another renderer's images (NAME.toml, NAME_A.exr, NAME_B.exr, NAME_mask.npy) to check
+    /// references against [default: ../shared/scenes beside this program's sources, where it exists].
+    #[arg(long, value_name = "DIR")]
+    pub foreign: Option<PathBuf>,
     #[command(flatten)]
     pub common: Common,
 }

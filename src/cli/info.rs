@@ -2,13 +2,12 @@
 
 use super::args::InfoArgs;
 use super::render::pass1;
-use super::say;
+use super::{print, say};
+use crate::Result;
 use crate::embree::Device;
 use crate::mesh::{Mesh, default_element_size};
 use crate::scene::{Features, Scene, load};
 use crate::visibility::{Visibility, reachable_sides};
-use crate::{Error, Result};
-use std::io::{ErrorKind, Write};
 
 pub fn run(args: &InfoArgs) -> Result<()> {
     let scene = load(&args.scene)?;
@@ -35,15 +34,6 @@ pub fn run(args: &InfoArgs) -> Result<()> {
     lines.extend(features.iter().filter(|f| !f.1).map(|(name, _, _)| format!("    {name}")));
     lines.push(format!("  Embree {}, OpenImageIO {}", device.version(), crate::image::version()));
     print(&lines.join("\n"))
-}
-
-/// Text on standard output. Who closes the pipe has read enough.
-fn print(text: &str) -> Result<()> {
-    let mut out = std::io::stdout();
-    match writeln!(out, "{text}").and_then(|()| out.flush()) {
-        Err(e) if e.kind() != ErrorKind::BrokenPipe => Err(Error::io("standard output", e)),
-        _ => Ok(()),
-    }
 }
 
 fn describe_scene(scene: &Scene) -> Vec<String> {

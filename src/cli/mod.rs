@@ -1,6 +1,8 @@
 //! The command line: reads arguments, runs stages, prints. Nothing else in the crate prints.
 
 mod args;
+mod bench;
+mod compare;
 mod form_factors;
 mod info;
 mod progress;
@@ -12,7 +14,7 @@ use args::{Command, Common};
 use clap::Parser;
 use std::collections::HashSet;
 use std::fmt::Display;
-use std::io::{self, Write};
+use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -25,6 +27,8 @@ pub fn run() -> ExitCode {
         Command::Render(a) => with_threads(&a.common, || render::run(a)),
         Command::Solve(a) => with_threads(&a.common, || solve::run(a)),
         Command::FormFactors(a) => with_threads(&a.common, || form_factors::run(a)),
+        Command::Compare(a) => compare::run(a),
+        Command::Bench(a) => with_threads(&a.common, || bench::run(a)),
         Command::Info(a) => with_threads(&a.common, || info::run(a)),
     };
     match result {
@@ -48,6 +52,15 @@ fn with_threads(common: &Common, work: impl FnOnce() -> Result<()> + Send) -> Re
 /// A line on standard error; nobody may be there to read it.
 fn say(text: impl Display) {
     let _ = writeln!(io::stderr(), "{text}");
+}
+
+/// Text on standard output. Who closes the pipe has read enough.
+fn print(text: &str) -> Result<()> {
+    let mut out = std::io::stdout();
+    match writeln!(out, "{text}").and_then(|()| out.flush()) {
+        Err(e) if e.kind() != ErrorKind::BrokenPipe => Err(Error::io("standard output", e)),
+        _ => Ok(()),
+    }
 }
 
 /// Refuses outputs that cannot be written, or that would replace the scene or each other, before

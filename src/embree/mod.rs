@@ -7,6 +7,7 @@
 #![allow(unsafe_code)]
 
 mod packet;
+mod rate;
 mod ray;
 mod scene;
 mod sys;
@@ -14,6 +15,7 @@ mod sys;
 mod tests;
 
 pub use packet::{LANES, RayLanes, RayPacket, ShadowPacket};
+pub use rate::{Queries, Width};
 pub use ray::{Hit, Ray};
 pub use scene::CommittedScene;
 

@@ -27,6 +27,8 @@ macro_rules! set_lane {
     }};
 }
 
+pub(super) use set_lane;
+
 /// Origins and directions of 16 rays, by coordinate and lane.
 #[derive(Debug, Clone, Copy)]
 pub struct RayLanes {

@@ -81,6 +81,10 @@ impl CommittedScene {
         Ok(committed)
     }
 
+    pub(super) fn raw(&self) -> sys::RTCScene {
+        self.scene.as_ptr()
+    }
+
     /// Adds one kind of face as the geometry `id`; nothing where there are none.
     fn attach<const N: usize>(
         &self,

@@ -240,3 +240,33 @@ fn a_scene_outlives_its_device_and_moves_between_threads() {
     .unwrap();
     assert!(scene.occluded(&down(0.5, 1.0)));
 }
+
+/// Rays from a grid, some of which miss: every width finds the same distances.
+#[test]
+fn queries_of_all_widths_agree() {
+    let (vertices, triangles, quads) = two_faces();
+    let device = Device::new(1).unwrap();
+    let scene = CommittedScene::new(&device, &vertices, &triangles, &quads).unwrap();
+    let rays: Vec<Ray> = (0..64).map(|k| down(0.05 + 0.3 * (k % 8) as f32, 0.5 * (k / 8) as f32)).collect();
+    let trace = |width| {
+        let mut queries = Queries::new(&rays, width);
+        scene.trace(&mut queries, width == Width::Sixteen);
+        assert_eq!(queries.len(), 64);
+        queries.distances()
+    };
+    let single = trace(Width::One);
+    let expected: Vec<f32> =
+        rays.iter().map(|r| scene.intersect(r).map_or(f32::INFINITY, |hit| hit.t)).collect();
+    assert_eq!(single, expected);
+    assert!(single.iter().any(|t| t.is_finite()) && single.iter().any(|t| t.is_infinite()));
+    for width in Width::ALL {
+        let found = trace(width);
+        for (a, b) in found.iter().zip(&single) {
+            assert!(a == b || (a - b).abs() < 1e-6 * b, "{width:?}: {a} {b}");
+        }
+    }
+    // What does not fill a packet, and what is no ray, is left out.
+    assert_eq!(Queries::new(&rays[..63], Width::Sixteen).len(), 48);
+    let bad = Ray::new(Vec3::NAN, Vec3::Z);
+    assert!(Queries::new(&[bad; 16], Width::Eight).is_empty());
+}

@@ -11,6 +11,6 @@ mod table;
 pub use matrix::{ExchangeMatrix, RowSummary};
 pub use mirror::cast_images;
 pub use raycast::{Casting, EmitterIrradiance, EmitterWork, cast};
-pub use source::time_embree;
+pub use source::element_rays;
 pub use specular::{Carried, ChainEnd, Chains, Link, pass_on};
 pub use table::ObjectTable;

@@ -1,14 +1,11 @@
 //! The rays of an element, 16 at a time.
 
-use super::raycast::BLOCK;
-use crate::embree::{RayLanes, RayPacket};
+use crate::embree::RayLanes;
 use crate::geometry::Frame;
 use crate::mesh::Mesh;
 use crate::sampling::{Scramble, SobolTable, seed_of};
 use crate::visibility::Visibility;
 use glam::{DVec3, Vec3};
-use rayon::prelude::*;
-use std::time::Instant;
 
 /// One element's rays: origins and the frame of their directions, in single precision.
 pub(super) struct Source {
@@ -100,34 +97,18 @@ fn disc(u: f32, v: f32) -> (f32, f32) {
     if swap { (r * sin, r * cos) } else { (r * cos, r * sin) }
 }
 
-/// Seconds that Embree alone takes for the rays that [`super::cast`] would cast, specular chains aside, summed over
-/// threads, and their number: the raw rate that a benchmark sets beside the whole stage.
-///
-/// The rays of an element are made first, in packets that stay in the cache, and only the calls
-/// into Embree are timed.
-pub fn time_embree(visibility: &Visibility, mesh: &Mesh, rays: u32, seed: u32) -> (f64, u64) {
-    let table = SobolTable::new(rays);
-    let packets = table.len().div_ceil(16);
-    let seconds = (0..mesh.len() as u32)
-        .into_par_iter()
-        .with_min_len(BLOCK)
-        .map_init(
-            || (0..packets).map(|_| RayPacket::new()).collect::<Vec<_>>(),
-            |buffer, element| {
-                let source = Source::new(visibility, mesh, element);
-                let scramble = Scramble::new(seed_of(&[seed, element, 0]));
-                for (k, packet) in buffer.iter_mut().enumerate() {
-                    packet.fill(&source.rays(&table.block(k, &scramble)), (table.len() - 16 * k).min(16));
-                }
-                let start = Instant::now();
-                for packet in buffer.iter_mut() {
-                    visibility.closest16(packet, false);
-                }
-                start.elapsed().as_secs_f64()
-            },
-        )
-        .sum();
-    (seconds, mesh.len() as u64 * table.len() as u64)
+/// The rays that [`super::cast`] casts from an element in the first randomisation of its row, 16 at a time in the
+/// same order: for measurements of single parts of that work.
+pub fn element_rays(
+    visibility: &Visibility,
+    mesh: &Mesh,
+    element: u32,
+    table: &SobolTable,
+    seed: u32,
+) -> Vec<RayLanes> {
+    let source = Source::new(visibility, mesh, element);
+    let scramble = Scramble::new(seed_of(&[seed, element, 0]));
+    (0..table.len().div_ceil(16)).map(|k| source.rays(&table.block(k, &scramble))).collect()
 }
 
 #[cfg(test)]

@@ -20,6 +20,8 @@ pub struct Comparison {
     pub mean_bias: f64,
     /// Pixels that count.
     pub pixels: usize,
+    /// Mean of the reference over those pixels.
+    pub reference_mean: f64,
 }
 
 /// Compares `x` with a noisy reference given as two independent halves.
@@ -31,19 +33,36 @@ pub fn relative_rmse_halves(x: &Image, a: &Image, b: &Image, mask: Option<&[bool
     for (name, image) in [("image", x), ("reference", a), ("second reference", b)] {
         check(name, image, x, mask)?;
     }
+    compare_channels([x, x], [a, b], mask, &[0, 1, 2])
+}
+
+/// How far two renderers' expectations are apart, free of the noise of both: `x` and `a` each as two independent halves.
+pub fn relative_rmse_of_halves(x: [&Image; 2], a: [&Image; 2], mask: Option<&[bool]>) -> Result<Comparison> {
+    for (name, image) in [("second image", x[1]), ("reference", a[0]), ("second reference", a[1])] {
+        check(name, image, x[0], mask)?;
+    }
+    check("image", x[0], x[0], mask)?;
+    compare_channels(x, a, mask, &[0, 1, 2])
+}
+
+/// The comparison over some of the channels, of images that were checked.
+pub(super) fn compare_channels(
+    x: [&Image; 2],
+    a: [&Image; 2],
+    mask: Option<&[bool]>,
+    channels: &[usize],
+) -> Result<Comparison> {
     let (mut n, mut product, mut squares) = (0usize, 0.0, 0.0);
     let (mut image_sum, mut reference_sum) = (0.0, 0.0);
-    let pixels = x.data.chunks_exact(3).zip(a.data.chunks_exact(3)).zip(b.data.chunks_exact(3));
-    for (i, ((x, a), b)) in pixels.enumerate() {
-        if mask.is_some_and(|mask| !mask[i]) {
-            continue;
-        }
+    let share = 1.0 / channels.len() as f64;
+    for i in (0..x[0].pixel_count()).filter(|i| mask.is_none_or(|mask| mask[*i])) {
         let mut error = 0.0;
-        for k in 0..3 {
-            let (x, a, b) = (f64::from(x[k]), f64::from(a[k]), f64::from(b[k]));
-            error += (x - a) * (x - b) / 3.0;
-            image_sum += x / 3.0;
-            reference_sum += 0.5 * (a + b) / 3.0;
+        for k in channels {
+            let at = |image: &Image| f64::from(image.data[3 * i + k]);
+            let (x0, x1, a0, a1) = (at(x[0]), at(x[1]), at(a[0]), at(a[1]));
+            error += (x0 - a0) * (x1 - a1) * share;
+            image_sum += 0.5 * (x0 + x1) * share;
+            reference_sum += 0.5 * (a0 + a1) * share;
         }
         n += 1;
         product += error;
@@ -70,6 +89,7 @@ pub fn relative_rmse_halves(x: &Image, a: &Image, b: &Image, mask: Option<&[bool
         relative_mse: mse,
         mean_bias: image_sum / reference_sum - 1.0,
         pixels: n,
+        reference_mean: mean,
     })
 }
 

@@ -1,10 +1,31 @@
 //! Images: one value, written and read through OpenImageIO, compared with a reference.
 
 mod compare;
+mod difference;
+mod false_colour;
 mod oiio;
+mod pfm;
 
-pub use compare::{Comparison, read_exr, read_mask_npy, relative_rmse, relative_rmse_halves};
-pub use oiio::{WriteOptions, read, supported, version, write};
+pub use compare::{
+    Comparison, read_exr, read_mask_npy, relative_rmse, relative_rmse_halves, relative_rmse_of_halves,
+};
+pub use difference::{Difference, Errors, Largest, NotFinite, Options, error_within, mean_image};
+pub use false_colour::{signed_colour, signed_difference};
+pub use oiio::{WriteOptions, png, read, srgb_bytes, supported, version, write};
+pub use pfm::read_pfm;
+
+use crate::Result;
+use std::path::Path;
+
+/// Reads an image by its extension: OpenEXR and PFM without OpenImageIO, all else through it; linear RGB.
+pub fn read_any(path: &Path) -> Result<Image> {
+    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    match extension.as_str() {
+        "exr" => read_exr(path),
+        "pfm" => read_pfm(path),
+        _ => read(path),
+    }
+}
 
 /// Linear RGB radiance, row by row from the top.
 #[derive(Debug, Clone, PartialEq)]

@@ -150,35 +150,58 @@ impl Drop for Bytes {
     }
 }
 
+/// Pixels as the shim takes them, row by row from the top.
+enum Samples<'a> {
+    Bytes(&'a [u8]),
+    Floats(&'a [f32]),
+}
+
+/// sRGB bytes of an image as 8-bit formats hold them, after exposure \[EV\].
+pub fn srgb_bytes(image: &Image, exposure: f64) -> Vec<u8> {
+    let scale = exposure.exp2();
+    image.data.iter().map(|&v| (srgb_encode(f64::from(v) * scale) * 255.0).round() as u8).collect()
+}
+
+/// A PNG file in memory, from `3 * width * height` bytes of sRGB.
+pub fn png(width: usize, height: usize, rgb: &[u8]) -> Result<Vec<u8>> {
+    let path = Path::new("picture.png");
+    let bytes = encode_samples([width, height, 3], &Samples::Bytes(rgb), path, format_of(path)?, &[])?;
+    Ok(bytes.as_slice().to_vec())
+}
+
 fn encode(image: &Image, path: &Path, format: &Format, options: &WriteOptions) -> Result<Bytes> {
+    let eight_bit = if format.eight_bit { srgb_bytes(image, options.exposure) } else { Vec::new() };
+    let samples = if format.eight_bit { Samples::Bytes(&eight_bit) } else { Samples::Floats(&image.data) };
+    encode_samples([image.width, image.height, image.channels], &samples, path, format, &options.metadata)
+}
+
+/// Encodes `[width, height, channels]` samples.
+fn encode_samples(
+    shape: [usize; 3],
+    samples: &Samples,
+    path: &Path,
+    format: &Format,
+    metadata: &[(String, String)],
+) -> Result<Bytes> {
     let size = |n: usize| i32::try_from(n).ok().filter(|&n| n > 0);
-    let (Some(width), Some(height), Some(channels)) =
-        (size(image.width), size(image.height), size(image.channels))
-    else {
-        return Err(image_error(path, format!("cannot hold {} x {} pixels", image.width, image.height)));
+    let [Some(width), Some(height), Some(channels)] = shape.map(size) else {
+        return Err(image_error(path, format!("cannot hold {} x {} pixels", shape[0], shape[1])));
     };
-    if image.width.checked_mul(image.height).and_then(|n| n.checked_mul(image.channels))
-        != Some(image.data.len())
-    {
+    let (count, eight_bit, pixels) = match samples {
+        Samples::Bytes(bytes) => (bytes.len(), true, bytes.as_ptr().cast()),
+        Samples::Floats(floats) => (floats.len(), false, floats.as_ptr().cast()),
+    };
+    if shape[0].checked_mul(shape[1]).and_then(|n| n.checked_mul(shape[2])) != Some(count) {
         return Err(image_error(path, "the image's samples do not match its size"));
     }
-    let eight_bit: Vec<u8> = if format.eight_bit {
-        let scale = options.exposure.exp2();
-        image.data.iter().map(|&v| (srgb_encode(f64::from(v) * scale) * 255.0).round() as u8).collect()
-    } else {
-        Vec::new()
-    };
 
     let text = |s: &str| {
         CString::new(s).map_err(|_| image_error(path, format!("metadata holds a null character: {s:?}")))
     };
     let plugin = text(format.plugin)?;
     let compression = format.compression.map(text).transpose()?;
-    let metadata: Vec<(CString, CString)> = options
-        .metadata
-        .iter()
-        .map(|(name, value)| Ok((text(name)?, text(value)?)))
-        .collect::<Result<_>>()?;
+    let metadata: Vec<(CString, CString)> =
+        metadata.iter().map(|(name, value)| Ok((text(name)?, text(value)?))).collect::<Result<_>>()?;
     let attributes: Vec<sys::TwopassAttribute> = metadata
         .iter()
         .map(|(name, value)| sys::TwopassAttribute { name: name.as_ptr(), value: value.as_ptr() })
@@ -189,8 +212,8 @@ fn encode(image: &Image, path: &Path, format: &Format, options: &WriteOptions) -
         width,
         height,
         channels,
-        eight_bit: i32::from(format.eight_bit),
-        pixels: if format.eight_bit { eight_bit.as_ptr().cast() } else { image.data.as_ptr().cast() },
+        eight_bit: i32::from(eight_bit),
+        pixels,
         compression: compression.as_ref().map_or(ptr::null(), |c| c.as_ptr()),
         attributes: attributes.as_ptr(),
         attribute_count: attributes.len(),

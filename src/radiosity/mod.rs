@@ -189,6 +189,21 @@ pub fn solve(
     })
 }
 
+/// Solves for the irradiance [W m^-2] of every element where no surface is specular: `incident` is its part straight from
+/// the sources, `matrix` holds ordinary form factors.
+///
+/// # Errors
+/// No steady state exists, or none was found to `tolerance`.
+pub fn solve_irradiance(
+    matrix: &ExchangeMatrix,
+    transport: &Transport,
+    incident: &[Rgb],
+    tolerance: f64,
+) -> crate::Result<(Vec<Rgb>, Convergence)> {
+    let exchange = exchange::Exchange::new(matrix, |_| Rgb::ZERO);
+    solve::solve(&exchange, transport, incident, tolerance)
+}
+
 /// Diffuse reflection and transmission at the elements.
 #[derive(Debug, Clone)]
 pub struct Transport {

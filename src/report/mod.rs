@@ -1,4 +1,12 @@
-//! What a run did, as data: the `--report` file (DESIGN section 6).
+//! What a run did, as data: the `--report` file (DESIGN section 6). In the modules, what a benchmark suite measured:
+//! its records ([`suite`]) as CSV, Markdown tables, plots and a page of HTML.
+
+pub mod csv;
+pub mod html;
+pub mod markdown;
+pub mod plot;
+pub mod suite;
+mod text;
 
 use crate::color::Rgb;
 use crate::form_factor::ExchangeMatrix;

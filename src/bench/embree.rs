@@ -1,0 +1,148 @@
+//! Embree alone, and the form-factor stage beside it on the same rays.
+
+use super::record::{Chart, Figure, PARAMETER, Subject, Unit};
+use super::{Context, Measurements, embedded, pool, rounds, thread_counts, threads_in_words};
+use crate::Result;
+use crate::embree::{Queries, Ray, Width};
+use crate::form_factor::{Casting, cast, element_rays};
+use crate::mesh::{Mesh, Sides, default_element_size};
+use crate::sampling::{SobolTable, seed_of};
+use crate::visibility::Visibility;
+use glam::Vec3;
+use rayon::prelude::*;
+use std::time::Instant;
+
+/// Elements whose rays are traced at a time: their queries stay in the cache.
+const TOGETHER: usize = 8;
+
+const RATE: &str = "rays a second";
+const RATIO: &str = "of Embree's rate";
+const STAGE: &str = "form-factor stage";
+
+pub fn run(context: &Context) -> Result<Measurements> {
+    let mut found = Measurements::default();
+    for name in ["cornell", "music_lesson"] {
+        let (subject, figure) = scene(context, name)?;
+        found.subjects.push(subject);
+        found.figures.extend(figure);
+    }
+    Ok(found)
+}
+
+/// How Embree is called.
+#[derive(Clone, Copy)]
+struct Call {
+    width: Width,
+    sorted: bool,
+}
+
+fn scene(context: &Context, name: &str) -> Result<(Subject, Option<Figure>)> {
+    let scene = embedded(name)?;
+    let visibility = Visibility::new(context.device, &scene)?;
+    let size = context.choose(3.0, 2.0) * default_element_size(&scene);
+    let mesh = Mesh::new(&scene, &Sides::fronts(&scene), size, true)?;
+    let rays = context.choose(256, 1024);
+    let mut subject = Subject::new(
+        name,
+        format!("{name}: {} faces, {} elements, {rays} rays each", scene.faces.len(), mesh.len()),
+        "The same rays are traced by Embree alone, in calls of 1, 4, 8 and 16 rays, and by the form-factor stage, which also \
+         makes the rays and adds up what they hit. \"Sorted\" are the rays in the order in which the stage casts them: from one \
+         element at a time, neighbours in direction together. \"Unsorted\" are the same rays shuffled. Only calls into Embree are timed for \
+         Embree; the whole stage is timed for the stage. All take turns within one process.",
+    );
+    let calls: Vec<Call> =
+        Width::ALL.into_iter().flat_map(|width| [true, false].map(|sorted| Call { width, sorted })).collect();
+    let all = context.threads();
+    let threads = thread_counts(context);
+    let mut ratios = Vec::new();
+    for &n in &threads {
+        let pool = pool(n)?;
+        rounds(context.settings.seed, context.choose(3, 5), |seed, counts| {
+            (context.observer)(&format!("embree: {name}, {n} threads, seed {seed}"));
+            let rates: Vec<f64> = pool.install(|| {
+                calls.iter().map(|&call| embree_rate(&visibility, &mesh, rays, seed, call)).collect()
+            });
+            let stage = pool.install(|| stage_rate(&visibility, &mesh, rays, seed));
+            if !counts {
+                return Ok(());
+            }
+            // What the stage itself asks of Embree: packets of 16, sorted.
+            let base = calls.iter().zip(&rates).find(|(c, _)| c.width == Width::Sixteen && c.sorted);
+            let base = base.map_or(f64::NAN, |(_, rate)| *rate);
+            let order = |sorted: bool| if sorted { "Embree alone, sorted" } else { "Embree alone, unsorted" };
+            let alone = calls.iter().map(|c| (order(c.sorted), c.width.rays())).zip(rates.iter().copied());
+            for ((kind, width), rate) in alone.chain([((STAGE, Width::Sixteen.rays()), stage)]) {
+                let threads = threads_in_words(n);
+                let series = subject.series(&format!("{kind}, {threads}"), "rays a call");
+                let point = series.at(width as f64);
+                point.push(RATE, Unit::RaysPerSecond, rate);
+                point.push(RATIO, Unit::Plain, rate / base);
+            }
+            if n == all {
+                ratios.push(stage / base);
+            }
+            Ok(())
+        })?;
+    }
+    subject.charts.push(Chart::new(
+        "Rays a second over rays a call",
+        PARAMETER,
+        RATE,
+        "Higher is faster. Packets help where their rays are neighbours (sorted); the single points at 16 are the whole form-factor \
+         stage, which calls Embree with sorted packets of 16.",
+    ));
+    subject.notes.push(format!(
+        "\"{RATIO}\" compares with packets of 16, sorted, in the same round: what the stage asks of Embree."
+    ));
+    let label = format!(
+        "of Embree's own rate on the same rays is kept by the form-factor stage ({name}, {all} threads)"
+    );
+    Ok((subject, Some(Figure { label, unit: Unit::Share, samples: ratios })))
+}
+
+/// Rays a second of Embree alone: rays over the seconds within its calls, over all threads.
+fn embree_rate(visibility: &Visibility, mesh: &Mesh, rays: u32, seed: u32, call: Call) -> f64 {
+    let table = SobolTable::new(rays);
+    // Elements in an order without neighbours, so that an unsorted batch comes from all over the scene.
+    let mut order: Vec<u32> = (0..mesh.len() as u32).collect();
+    if !call.sorted {
+        order.sort_by_key(|e| seed_of(&[seed, *e, 0x0e1]));
+    }
+    let batches: Vec<(f64, usize)> = order
+        .par_chunks(TOGETHER)
+        .with_min_len(4)
+        .map(|elements| {
+            let mut batch: Vec<Ray> = Vec::with_capacity(elements.len() * rays as usize);
+            for &element in elements {
+                for lanes in element_rays(visibility, mesh, element, &table, seed) {
+                    let at = |v: &[[f32; 16]; 3], k: usize| Vec3::new(v[0][k], v[1][k], v[2][k]);
+                    batch.extend((0..16).map(|k| Ray::new(at(&lanes.origin, k), at(&lanes.direction, k))));
+                }
+            }
+            if !call.sorted {
+                let mut keyed: Vec<(u32, Ray)> = batch
+                    .iter()
+                    .enumerate()
+                    .map(|(k, ray)| (seed_of(&[seed, elements[0], k as u32]), *ray))
+                    .collect();
+                keyed.sort_by_key(|k| k.0);
+                batch = keyed.into_iter().map(|k| k.1).collect();
+            }
+            let mut queries = Queries::new(&batch, call.width);
+            let start = Instant::now();
+            visibility.embree().trace(&mut queries, false);
+            (start.elapsed().as_secs_f64(), queries.len())
+        })
+        .collect();
+    let (seconds, count) = batches.iter().fold((0.0, 0), |(s, c), b| (s + b.0, c + b.1));
+    count as f64 / seconds * rayon::current_num_threads() as f64
+}
+
+/// Rays a second of the whole stage.
+fn stage_rate(visibility: &Visibility, mesh: &Mesh, rays: u32, seed: u32) -> f64 {
+    let casting =
+        Casting { rays, batches: 1, seed, specular: false, reached: None, emitters: None, progress: &|_| () };
+    let start = Instant::now();
+    let (matrix, _) = cast(visibility, mesh, &casting);
+    matrix.rays as f64 / start.elapsed().as_secs_f64()
+}

@@ -1,0 +1,207 @@
+//! The benchmark suite: speed beside error, measured as data. Nothing here prints or draws.
+//!
+//! A **group** measures one thing about the program on a few **subjects** (scenes or cases). A subject holds
+//! **series** (one a method), a series **points** (one a setting), and a point keeps every sample of every
+//! quantity ([`record`]). [`crate::report`] turns that into CSV, JSON, Markdown and HTML.
+//!
+//! **How to add a group:** write `src/bench/NAME.rs` with a function `run(&Context) -> Result<Measurements>`, add a
+//! variant to [`Group`] with its name, title and explanation, and a line to `Group::run`. Everything else follows: the
+//! command line, the records, the tables and the report. Quantities are made by naming them in
+//! [`Point::push`](record::Point::push). A subject's [`Chart`](record::Chart)s say which of them to draw.
+//!
+//! **How to measure:** whatever enters a ratio is measured in turn within one process, round by round, after a
+//! round that does not count ([`rounds`]). Every round has a seed of its own, so the spread of an error is its spread
+//! over randomisations. Timings are wall times of work on [`Context::threads`] threads unless a series says otherwise.
+
+mod embree;
+mod foreign;
+mod images;
+mod machine;
+mod memory;
+mod pictures;
+mod radiosity;
+pub mod record;
+pub mod reference;
+mod scaling;
+mod scenes;
+mod view;
+
+pub use machine::machine;
+pub use scenes::{Files, SCENES, embedded};
+
+use crate::embree::Device;
+use crate::{Error, Result};
+use record::{Figure, GroupRecord, Subject, Suite};
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// What can be measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Group {
+    /// Embree's own rate, and what is kept of it.
+    Embree,
+    /// Pass 1 against exact cases.
+    Radiosity,
+    /// Error of images over time.
+    Images,
+    /// Time over the number of elements.
+    Scaling,
+    /// Memory of whole runs.
+    Memory,
+}
+
+impl Group {
+    /// All groups, in the order in which they run and are shown.
+    pub const ALL: [Group; 5] =
+        [Group::Embree, Group::Radiosity, Group::Images, Group::Scaling, Group::Memory];
+
+    /// Its name on the command line.
+    pub fn name(self) -> &'static str {
+        self.words().0
+    }
+
+    /// Name, title and explanation.
+    fn words(self) -> (&'static str, &'static str, &'static str) {
+        match self {
+            Group::Embree => (
+                "embree",
+                "Embree's rate, and what is kept of it",
+                "Embree finds where rays meet surfaces; everything else the program does costs time on top. This group tells how \
+                 much: rays a second of Embree alone against the program's form-factor stage on the same rays.",
+            ),
+            Group::Radiosity => (
+                "radiosity",
+                "Pass 1 against exact cases",
+                "Pass 1 finds the diffuse light of a scene. In the cases here the right answer is known, so the error needs no \
+                 reference: how it falls with more rays, finer elements, and more steps of the solver.",
+            ),
+            Group::Images => (
+                "images",
+                "Error of images over time",
+                "The question that a user has: how good a picture after how long? Every method renders the same views in the same run, \
+                 and its error is measured against a converged reference.",
+            ),
+            Group::Scaling => (
+                "scaling",
+                "From a thousand to a million elements",
+                "How time, rate and memory of pass 1 grow with the number of elements, on one thread and on all.",
+            ),
+            Group::Memory => ("memory", "Memory", "How much memory whole runs of the program need."),
+        }
+    }
+
+    fn run(self, context: &Context) -> Result<Measurements> {
+        match self {
+            Group::Embree => embree::run(context),
+            Group::Radiosity => radiosity::run(context),
+            Group::Images => images::run(context),
+            Group::Scaling => scaling::run(context),
+            Group::Memory => memory::run(context),
+        }
+    }
+
+    /// The groups of these names, in the suite's own order; all without names.
+    pub fn named(names: &[String]) -> Result<Vec<Group>> {
+        if let Some(unknown) = names.iter().find(|n| Group::ALL.iter().all(|g| g.name() != n.as_str())) {
+            let known: Vec<&str> = Group::ALL.iter().map(|g| g.name()).collect();
+            return Err(Error::Usage(format!(
+                "no group is called {unknown:?}; there are {}",
+                known.join(", ")
+            )));
+        }
+        let chosen = |g: &Group| names.is_empty() || names.iter().any(|n| n == g.name());
+        Ok(Group::ALL.into_iter().filter(chosen).collect())
+    }
+}
+
+/// What a group hands back.
+#[derive(Debug, Default)]
+pub struct Measurements {
+    /// The few figures that matter, for the front page.
+    pub figures: Vec<Figure>,
+    /// Scene by scene, case by case.
+    pub subjects: Vec<Subject>,
+}
+
+/// What the suite is asked for.
+#[derive(Debug, Clone)]
+pub struct Settings {
+    /// Fewer and smaller measurements: the whole suite within two minutes on two cores.
+    pub quick: bool,
+    /// Seed of the first round.
+    pub seed: u32,
+    /// Folder of cached references.
+    pub cache: PathBuf,
+    /// This program, to measure the memory of whole processes; without it that is skipped.
+    pub program: Option<PathBuf>,
+    /// Folder of another renderer's images of known scenes; without it the comparison is skipped.
+    pub foreign: Option<PathBuf>,
+}
+
+/// What every group is given.
+pub struct Context<'a> {
+    /// What was asked for.
+    pub settings: &'a Settings,
+    /// Embree.
+    pub device: &'a Device,
+    /// Hears what is being measured.
+    pub observer: &'a (dyn Fn(&str) + Sync),
+}
+
+impl Context<'_> {
+    /// `quick` in a quick run, `full` otherwise.
+    pub fn choose<T>(&self, quick: T, full: T) -> T {
+        if self.settings.quick { quick } else { full }
+    }
+
+    /// Threads that measurements run on.
+    pub fn threads(&self) -> usize {
+        rayon::current_num_threads()
+    }
+}
+
+/// A pool of `n` threads, for measurements that compare their number.
+fn pool(n: usize) -> Result<rayon::ThreadPool> {
+    let built = rayon::ThreadPoolBuilder::new().num_threads(n).build();
+    built.map_err(|e| Error::Usage(format!("{n} threads: {e}")))
+}
+
+/// One thread, and all of them.
+fn thread_counts(context: &Context) -> Vec<usize> {
+    let all = context.threads();
+    if all == 1 { vec![1] } else { vec![1, all] }
+}
+
+/// `1 thread`, `2 threads`.
+fn threads_in_words(n: usize) -> String {
+    if n == 1 { "1 thread".into() } else { format!("{n} threads") }
+}
+
+/// Runs `work` once unheard as a warm-up, then `count` times with the seeds from `seed` on.
+pub fn rounds(seed: u32, count: u32, mut work: impl FnMut(u32, bool) -> Result<()>) -> Result<()> {
+    work(seed, false)?;
+    (0..count).try_for_each(|k| work(seed.wrapping_add(k), true))
+}
+
+/// Measures groups one after the other.
+pub fn run(groups: &[Group], context: &Context) -> Result<Suite> {
+    let machine = machine(context);
+    let mut records = Vec::new();
+    for &group in groups {
+        let (name, title, about) = group.words();
+        (context.observer)(name);
+        let start = Instant::now();
+        let found = group.run(context)?;
+        records.push(GroupRecord {
+            name: name.into(),
+            title: title.into(),
+            about: about.into(),
+            seconds: start.elapsed().as_secs_f64(),
+            figures: found.figures,
+            subjects: found.subjects,
+        });
+    }
+    let suite = Suite { machine, groups: records };
+    suite.check()?;
+    Ok(suite)
+}

@@ -1,0 +1,95 @@
+//! Strips of pictures: every method after about the same time, and its errors in false colours.
+
+use super::record::{Picture, Strip, Subject};
+use super::reference::Reference;
+use super::view::{ERROR, View};
+use crate::Result;
+use crate::color;
+use crate::image::{Image, error_within, mean_image, png, signed_difference, srgb_bytes};
+
+/// A picture of the first round with what it cost, for the strips.
+pub(super) struct Kept {
+    pub series: &'static str,
+    pub spp: u32,
+    /// Wall time of the first frame \[s\].
+    pub first: f64,
+    pub image: Image,
+}
+
+/// Exposure [EV] that brings the mean of the reference to a middle grey.
+fn exposure(reference: &Reference) -> f64 {
+    let pixels = reference.mean.data.chunks_exact(3).zip(&reference.mask).filter(|p| *p.1);
+    let (sum, n) = pixels.fold((0.0, 0.0), |(s, n), (p, _)| {
+        (s + color::mean(color::Rgb::new(f64::from(p[0]), f64::from(p[1]), f64::from(p[2]))), n + 1.0)
+    });
+    (0.22f64 * n / sum).log2()
+}
+
+/// The reference beside every method after about the same time, and their errors in false colours.
+pub(super) fn pictures(stage: &View, subject: &Subject, kept: &[Kept], name: &str) -> Result<Vec<Strip>> {
+    let gather = kept.iter().filter(|k| k.series == "gather" && k.spp <= 16).map(|k| k.first);
+    let budget = gather.fold(0.0, f64::max);
+    let mut chosen: Vec<&Kept> = Vec::new();
+    for series in ["mesh", "direct", "gather", "path"] {
+        let off = |k: &&Kept| (k.first / budget).ln().abs();
+        let best = kept.iter().filter(|k| k.series == series).min_by(|a, b| off(a).total_cmp(&off(b)));
+        chosen.extend(best);
+    }
+    let reference = stage.reference;
+    let ev = exposure(reference);
+    let [width, height] = stage.camera.size.map(|n| n as usize);
+    let shown = |image: &Image| png(width, height, &srgb_bytes(image, ev));
+    let file = |what: &str| format!("pictures/images-{name}-{what}.png");
+    let caption = |k: &Kept| {
+        let series = subject.series.iter().find(|s| s.name == k.series);
+        let point = series.and_then(|s| s.points.iter().find(|p| p.parameter == f64::from(k.spp)));
+        let error = point.and_then(|p| p.get(ERROR)).map_or(0.0, |m| m.samples[0]);
+        format!("{}, {} samples a pixel: {:.2} s, error {:.2} %", k.series, k.spp, k.first, 100.0 * error)
+    };
+    let mut plain = vec![Picture {
+        caption: format!("reference, {} paths a pixel", 2 * reference.spp),
+        file: file("reference"),
+        png: shown(&reference.mean)?,
+    }];
+    let mean = stage.compare(&reference.mean, &reference.mask)?.reference_mean;
+    let within = |k: &&Kept| error_within(&k.image, &reference.mean, Some(&reference.mask), 0.98) / mean;
+    // One scale for all, set by the methods in the middle: a noisy one may leave it.
+    let mut scales: Vec<f64> = chosen.iter().map(within).collect();
+    scales.sort_by(f64::total_cmp);
+    let scale = scales.get(scales.len() / 2).copied().filter(|s| *s > 0.0).unwrap_or(1.0);
+    let colours = |image: &Image, right: &Image| {
+        png(width, height, &signed_difference(image, right, Some(&reference.mask), scale * mean))
+    };
+    // Half the difference of the halves is as noisy as their mean.
+    let half = mean_image(&reference.halves[0], Some(&reference.mean));
+    let mut errors = vec![Picture {
+        caption: "noise of the reference itself".into(),
+        file: file("reference-error"),
+        png: colours(&half, &mean_image(&reference.halves[1], Some(&reference.mean)))?,
+    }];
+    for k in chosen {
+        plain.push(Picture { caption: caption(k), file: file(k.series), png: shown(&k.image)? });
+        errors.push(Picture {
+            caption: k.series.to_string(),
+            file: file(&format!("{}-error", k.series)),
+            png: colours(&k.image, &reference.mean)?,
+        });
+    }
+    Ok(vec![
+        Strip {
+            title: "Pictures after about the same time".into(),
+            about: format!("First frames that took about {budget:.2} s, pass 1 included, beside the reference."),
+            scale: None,
+            pictures: plain,
+        },
+        Strip {
+            title: "Their errors".into(),
+            about: "Picture minus reference: blue is too dark, red too bright, white right; grey pixels see a lamp and do not count. \
+                    Speckles are noise, which more samples remove; areas of one colour are what the elements cannot show, which \
+                    finer elements remove."
+                .into(),
+            scale: Some(scale),
+            pictures: errors,
+        },
+    ])
+}

@@ -1,0 +1,96 @@
+//! One view of a scene, rendered over and over and compared with its reference.
+
+use super::Context;
+use super::record::{Subject, Unit};
+use super::reference::{Reference, path_settings};
+use crate::Result;
+use crate::emitters::Emitters;
+use crate::image::{Comparison, Image, relative_rmse_halves};
+use crate::pipeline::{self, Pass1};
+use crate::radiosity::Solution;
+use crate::render::{Estimator, Method, Settings, render};
+use crate::scene::Camera;
+use crate::visibility::Visibility;
+use std::time::Instant;
+
+/// Time from a loaded scene to the picture.
+pub(super) const FIRST: &str = "first frame";
+/// Time of a frame where the solution of pass 1 is kept.
+pub(super) const NEXT: &str = "following frame";
+/// Error against the reference.
+pub(super) const ERROR: &str = "relative RMSE";
+/// What most series of images vary.
+pub(super) const SPP: &str = "samples a pixel";
+
+/// The settings of `twopass render`, but for the samples a pixel.
+pub(super) fn settings(method: Method, spp: u32, seed: u32) -> Settings {
+    match method {
+        Method::Path => path_settings(spp, seed),
+        _ => {
+            Settings { method, spp, gather_rays: 32, emitter_samples: 4, estimator: Estimator::Lobe(4), seed }
+        }
+    }
+}
+
+/// One scene, ready to be rendered over and over.
+pub(super) struct View<'a, 's> {
+    pub context: &'a Context<'a>,
+    pub visibility: &'a Visibility<'s>,
+    pub emitters: &'a Emitters,
+    pub camera: &'a Camera,
+    pub reference: &'a Reference,
+}
+
+/// A frame and what it cost.
+pub(super) struct Frame {
+    pub image: Image,
+    /// Wall time \[s\].
+    pub seconds: f64,
+    pub rays: u64,
+}
+
+impl View<'_, '_> {
+    /// Pass 2.
+    pub fn frame(&self, settings: &Settings, solution: Option<&Solution>) -> Frame {
+        let start = Instant::now();
+        let (image, rays) = render(self.visibility, self.emitters, solution, self.camera, settings, &|_| ());
+        Frame { image, seconds: start.elapsed().as_secs_f64(), rays }
+    }
+
+    /// Pass 1 with its wall time \[s\].
+    pub fn solve(&self, pass1: &Pass1) -> Result<(Solution, f64)> {
+        let start = Instant::now();
+        let cameras = std::slice::from_ref(self.camera);
+        let stages = &mut Vec::new();
+        let solved = pipeline::solve(self.visibility, self.emitters, cameras, pass1, &|_| (), stages)?;
+        Ok((solved.solution, start.elapsed().as_secs_f64()))
+    }
+
+    /// The error of an image over the pixels of `mask`.
+    pub fn compare(&self, image: &Image, mask: &[bool]) -> Result<Comparison> {
+        let [a, b] = &self.reference.halves;
+        relative_rmse_halves(image, a, b, Some(mask))
+    }
+
+    /// Adds a frame's time and error to a point; `pass1` is the time before the first frame.
+    pub fn record(
+        &self,
+        subject: &mut Subject,
+        (series, parameter, at): (&str, &str, f64),
+        frame: &Frame,
+        pass1: f64,
+        mask: &[bool],
+    ) -> Result<()> {
+        let c = self.compare(&frame.image, mask)?;
+        let point = subject.series(series, parameter).at(at);
+        point.push(FIRST, Unit::Seconds, pass1 + frame.seconds);
+        point.push(NEXT, Unit::Seconds, frame.seconds);
+        point.push(ERROR, Unit::Share, c.relative_rmse);
+        point.push("standard error", Unit::Share, c.standard_error);
+        point.push("bias", Unit::Share, c.mean_bias);
+        point.push("rays of a frame", Unit::Count, frame.rays as f64);
+        let error = point.summary(ERROR).map_or(0.0, |s| s.median);
+        point.unresolved = error < self.reference.resolution;
+        Ok(())
+    }
+}
