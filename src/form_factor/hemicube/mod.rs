@@ -186,9 +186,8 @@ impl<'a> Drawer<'a> {
         beside: &mut Beside,
     ) {
         let (eye, axes, own) = stand(self.scene, self.mesh, element, place, turn);
-        self.buffer.draw(eye, axes, own);
         let (weight, touched, deltas) = (&mut self.weight, &mut self.touched, self.deltas);
-        self.buffer.spans(|span| {
+        self.buffer.draw(eye, axes, own, |span| {
             let delta = share * deltas.span(span.side, span.row, span.from, span.to);
             match span.seen {
                 Seen::Element(j) => {
@@ -259,10 +258,9 @@ pub fn item_image(
     let n = resolution as usize;
     let mut buffer = ItemBuffer::new(scene, mesh, n);
     let (eye, axes, own) = stand(scene, mesh, element, None, None);
-    buffer.draw(eye, axes, own);
     let mut image: [Vec<Vec<Option<Option<u32>>>>; 5] =
         std::array::from_fn(|side| vec![vec![None; n]; buffer.rows(side)]);
-    buffer.spans(|span| {
+    buffer.draw(eye, axes, own, |span| {
         let seen = match span.seen {
             Seen::Element(j) => Some(Some(j)),
             Seen::Blocked => Some(None),

@@ -63,7 +63,25 @@ struct Drawn {
     grid: Grid,
 }
 
-/// The buffers of one thread: five sides' depths and faces, and the scene in the frame of the hemi-cube.
+/// A face on one side of the hemi-cube.
+#[derive(Debug, Clone, Copy)]
+struct Polygon {
+    item: u32,
+    /// First and last row that it may cover.
+    low: u32,
+    high: u32,
+    lines: [Line; 4],
+    count: u32,
+    /// Reciprocal depth at (a, b) = (-1, 0), and its steps with b and with each pixel to the right.
+    depth: f64,
+    depth_up: f64,
+    slope: f64,
+}
+
+/// Pixels that are drawn and read at a time, about: their depths and items stay in the first-level cache.
+const BAND: usize = 2048;
+
+/// The buffers of one thread: a band of rows, and the scene in the frame of the hemi-cube.
 pub(super) struct ItemBuffer<'a> {
     scene: &'a Scene,
     mesh: &'a Mesh,
@@ -75,12 +93,15 @@ pub(super) struct ItemBuffer<'a> {
     vertices: Vec<DVec3>,
     codes: Vec<u8>,
     drawn: Vec<Drawn>,
+    polygons: [Vec<Polygon>; SIDES],
+    /// Polygons of the side under way that reach into the band under way.
+    active: Vec<u32>,
     cells: Vec<u32>,
 }
 
 impl<'a> ItemBuffer<'a> {
     pub fn new(scene: &'a Scene, mesh: &'a Mesh, resolution: usize) -> ItemBuffer<'a> {
-        let pixels = resolution * (resolution + 4 * side_rows(resolution));
+        let pixels = resolution * (BAND / resolution).clamp(1, resolution);
         ItemBuffer {
             scene,
             mesh,
@@ -91,6 +112,8 @@ impl<'a> ItemBuffer<'a> {
             vertices: vec![DVec3::ZERO; scene.vertices.len()],
             codes: vec![0; scene.vertices.len()],
             drawn: Vec::new(),
+            polygons: Default::default(),
+            active: Vec::new(),
             cells: vec![0; resolution],
         }
     }
@@ -100,19 +123,45 @@ impl<'a> ItemBuffer<'a> {
         if side == 0 { self.resolution } else { side_rows(self.resolution) }
     }
 
-    /// First pixel of a side.
-    fn base(&self, side: usize) -> usize {
-        match side {
-            0 => 0,
-            _ => self.resolution * (self.resolution + (side - 1) * side_rows(self.resolution)),
+    /// b of the middle of a side's first row, and its step from row to row.
+    fn row_scale(&self, side: usize) -> (f64, f64) {
+        let n = self.resolution as f64;
+        let rows = self.rows(side) as f64;
+        if side == 0 { (1.0 / n - 1.0, 2.0 / n) } else { (0.5 / rows, 1.0 / rows) }
+    }
+
+    /// Draws all faces but `own` as seen from `eye`, in the frame of `axes` (the last is the normal), and calls `visit` with
+    /// every pixel of every side, in spans that see one element, blocked or outside.
+    #[inline]
+    pub fn draw(&mut self, eye: DVec3, axes: [DVec3; 3], own: u32, mut visit: impl FnMut(Span)) {
+        self.prepare(eye, axes, own);
+        let n = self.resolution;
+        let band = self.item.len() / n;
+        for side in 0..SIDES {
+            let rows = self.rows(side);
+            self.polygons[side].sort_unstable_by_key(|p| (p.low, p.item));
+            self.active.clear();
+            let mut next = 0;
+            for start in (0..rows).step_by(band) {
+                let end = (start + band).min(rows);
+                let polygons = &self.polygons[side];
+                while polygons.get(next).is_some_and(|p| (p.low as usize) < end) {
+                    self.active.push(next as u32);
+                    next += 1;
+                }
+                self.band(side, start, end);
+                let polygons = &self.polygons[side];
+                self.active.retain(|p| polygons[*p as usize].high as usize >= end);
+                for row in start..end {
+                    self.read(side, row, (row - start) * n, &mut visit);
+                }
+            }
         }
     }
 
-    /// Draws all faces but `own` as seen from `eye`, in the frame whose rows are `axes` (the last is the normal).
-    pub fn draw(&mut self, eye: DVec3, axes: [DVec3; 3], own: u32) {
-        self.depth.fill(0.0);
-        self.item.fill(NONE);
+    fn prepare(&mut self, eye: DVec3, axes: [DVec3; 3], own: u32) {
         self.drawn.clear();
+        self.polygons.iter_mut().for_each(Vec::clear);
         let to_local = DMat3::from_cols(axes[0], axes[1], axes[2]).transpose();
         for ((local, code), v) in self.vertices.iter_mut().zip(&mut self.codes).zip(&self.scene.vertices) {
             *local = to_local * (*v - eye);
@@ -162,104 +211,111 @@ impl<'a> ItemBuffer<'a> {
         }
     }
 
-    /// Draws a convex polygon on one side.
+    /// Sets up a convex polygon on one side.
     fn polygon(&mut self, side: usize, item: u32, corners: &[DVec3], edges: &[DVec3]) {
         let n = self.resolution;
         let [forward, right, up] = BASES[side];
-        let rows = self.rows(side);
+        let rows = self.rows(side) as f64;
         let face = self.drawn[item as usize];
-        let sign = face.distance.signum();
-        // b of a row's middle: first + step * row.
-        let (first, step) = if side == 0 {
-            (1.0 / n as f64 - 1.0, 2.0 / n as f64)
-        } else {
-            (0.5 / rows as f64, 1.0 / rows as f64)
-        };
+        let (first, step) = self.row_scale(side);
         let (low, high) = extent(corners, forward, up);
-        let row = |b: f64| ((b - first) / step).clamp(-1.0, rows as f64);
-        let (low, high) = ((row(low) - 0.01).max(0.0).ceil() as usize, (row(high) + 0.01).floor());
-        if high < 0.0 {
+        let row = |b: f64| ((b - first) / step).clamp(-1.0, rows);
+        // A hundredth of a row covers rounding.
+        let (low, high) = ((row(low) - 0.01).max(0.0).ceil(), (row(high) + 0.01).min(rows - 1.0).floor());
+        if low > high {
             return;
         }
-        let high = (high as usize).min(rows - 1);
+        let sign = face.distance.signum();
         let mut lines = [Line::default(); 4];
         for (line, e) in lines.iter_mut().zip(edges) {
             *line = Line::new(sign * e.dot(forward), sign * e.dot(right), sign * e.dot(up), n);
         }
-        let lines = &lines[..edges.len()];
-        let pixel = 2.0 / n as f64;
         let depth = [forward, right, up].map(|axis| face.normal.dot(axis) / face.distance);
-        let slope = depth[1] * pixel;
-        let base = self.base(side);
-        for row in low..=high {
-            let b = first + step * row as f64;
-            let (mut from, mut to) = (0, n);
-            for line in lines {
-                line.cut(b, n, &mut from, &mut to);
+        self.polygons[side].push(Polygon {
+            item,
+            low: low as u32,
+            high: high as u32,
+            lines,
+            count: edges.len() as u32,
+            depth: depth[0] - depth[1],
+            depth_up: depth[2],
+            slope: depth[1] * 2.0 / n as f64,
+        });
+    }
+
+    /// Fills rows `start..end` of a side from the active polygons.
+    fn band(&mut self, side: usize, start: usize, end: usize) {
+        let n = self.resolution;
+        let (first, step) = self.row_scale(side);
+        self.depth.fill(0.0);
+        self.item.fill(NONE);
+        for &p in &self.active {
+            let polygon = &self.polygons[side][p as usize];
+            let lines = &polygon.lines[..polygon.count as usize];
+            for row in start.max(polygon.low as usize)..end.min(polygon.high as usize + 1) {
+                let b = first + step * row as f64;
+                let (mut from, mut to) = (0, n);
+                for line in lines {
+                    line.cut(b, n, &mut from, &mut to);
+                }
+                if from >= to {
+                    continue;
+                }
+                let depth = polygon.depth + polygon.depth_up * b + polygon.slope * (from as f64 + 0.5);
+                let (a, z) = ((row - start) * n + from, (row - start) * n + to);
+                fill(
+                    &mut self.depth[a..z],
+                    &mut self.item[a..z],
+                    &self.ramp[..z - a],
+                    (depth as f32, polygon.slope as f32, polygon.item),
+                );
             }
-            if from >= to {
-                continue;
-            }
-            let start = depth[0] + depth[2] * b - depth[1] + slope * (from as f64 + 0.5);
-            let (a, z) = (base + row * n + from, base + row * n + to);
-            fill(
-                &mut self.depth[a..z],
-                &mut self.item[a..z],
-                &self.ramp[..z - a],
-                (start as f32, slope as f32, item),
-            );
         }
     }
 
-    /// Calls `visit` with every pixel of every side, in spans that see one element, blocked or outside.
+    /// Visits a row, which starts at `start` in the band.
     #[inline]
-    pub fn spans(&mut self, mut visit: impl FnMut(Span)) {
+    fn read(&mut self, side: usize, row: usize, start: usize, visit: &mut impl FnMut(Span)) {
         let n = self.resolution;
         let pixel = 2.0 / n as f64;
-        for side in 0..SIDES {
-            let [forward, right, up] = BASES[side];
-            let rows = self.rows(side);
-            for row in 0..rows {
-                let start = self.base(side) + row * n;
-                let items = &self.item[start..start + n];
-                let b = if side == 0 {
-                    (2 * row + 1) as f64 / n as f64 - 1.0
-                } else {
-                    (row as f64 + 0.5) / rows as f64
-                };
-                let mut from = 0;
-                while from < n {
-                    let item = items[from];
-                    let to = from + items[from..].iter().take_while(|i| **i == item).count();
-                    let whole = |seen| Span { side, row, from, to, seen };
-                    match self.drawn.get(item as usize) {
-                        None => visit(whole(Seen::Outside)),
-                        Some(face) if face.first == NONE => visit(whole(Seen::Blocked)),
-                        Some(face) if face.grid.len() == 1 => visit(whole(Seen::Element(face.first))),
-                        Some(face) => {
-                            let direction = forward + (pixel * (from as f64 + 0.5) - 1.0) * right + b * up;
-                            let cells = &mut self.cells[..to - from];
-                            locate(face, direction, pixel * right, &self.ramp, cells);
-                            let mut k = 0;
-                            while k < cells.len() {
-                                let cell = cells[k];
-                                let end = k + cells[k..].iter().take_while(|c| **c == cell).count();
-                                visit(Span {
-                                    side,
-                                    row,
-                                    from: from + k,
-                                    to: from + end,
-                                    seen: Seen::Element(face.first + cell),
-                                });
-                                k = end;
-                            }
-                        }
+        let [forward, right, up] = BASES[side];
+        let (first, step) = self.row_scale(side);
+        let b = first + step * row as f64;
+        let items = &self.item[start..start + n];
+        let mut from = 0;
+        while from < n {
+            let item = items[from];
+            let to = from + run(&items[from..]);
+            let mut tell = |from, to, seen| visit(Span { side, row, from, to, seen });
+            match self.drawn.get(item as usize) {
+                None => tell(from, to, Seen::Outside),
+                Some(face) if face.first == NONE => tell(from, to, Seen::Blocked),
+                Some(face) if face.grid.len() == 1 => tell(from, to, Seen::Element(face.first)),
+                Some(face) => {
+                    let direction = forward + (pixel * (from as f64 + 0.5) - 1.0) * right + b * up;
+                    let cells = &mut self.cells[..to - from];
+                    locate(face, direction, pixel * right, &self.ramp, cells);
+                    let mut k = 0;
+                    while k < cells.len() {
+                        let cell = cells[k];
+                        let end = k + cells[k..].iter().take_while(|c| **c == cell).count();
+                        tell(from + k, from + end, Seen::Element(face.first + cell));
+                        k = end;
                     }
-                    from = to;
                 }
             }
+            from = to;
         }
     }
+}
+
+/// How many leading items are equal, eight at a time.
+#[inline]
+fn run(items: &[u32]) -> usize {
+    let first = items[0];
+    let whole = |chunk: &&[u32]| chunk.iter().fold(true, |same, i| same & (*i == first));
+    let start = 8 * items.chunks_exact(8).take_while(whole).count();
+    start + items[start..].iter().take_while(|i| **i == first).count()
 }
 
 /// Keeps the nearer of two reciprocal depths. The vectoriser makes selections of it, four lanes at a time.
@@ -273,27 +329,48 @@ fn fill(depth: &mut [f32], item: &mut [u32], ramp: &[f32], (start, slope, face):
     }
 }
 
+/// Adding it to a number from 0 to half of it rounds that to the nearest whole one, which then stands in the lowest bits:
+/// conversions of numbers that may be out of range do not vectorise.
+const ROUND: f32 = 8_388_608.0;
+
 /// The cell of a face in each of a run of pixels, from the direction to the first and its step.
+///
+/// As [`Grid::cell`], but for what lies on the line between two cells to rounding.
 #[inline]
 fn locate(face: &Drawn, direction: DVec3, step: DVec3, ramp: &[f32], cells: &mut [u32]) {
     let linear = |v: DVec3| (direction.dot(v) as f32, step.dot(v) as f32);
     let (grid, (d0, d1)) = (face.grid, linear(face.normal));
     let (u0, u1) = linear(face.u * f64::from(grid.nu));
     let (v0, v1) = linear(face.v * f64::from(grid.nv));
-    let (nu, nv) = (grid.nu as i32, grid.nv as i32);
-    for (cell, k) in cells.iter_mut().zip(ramp) {
-        let scale = 1.0 / (d0 + d1 * k);
-        let (fu, fv) = (((u0 + u1 * k) * scale).max(0.0), ((v0 + v1 * k) * scale).max(0.0));
-        let iv = (fv as i32).min(nv - 1);
-        if grid.triangle {
-            // As [`Grid::cell`]: the last cell of a row stands alone.
-            let iu = fu as i32;
-            let last = nu - 1 - iv;
-            let inverted = (fu - iu as f32) + (fv - iv as f32) > 1.0;
-            let along = if iu >= last { 2 * last } else { 2 * iu + i32::from(inverted) };
-            *cell = (iv * (2 * nu - iv) + along) as u32;
-        } else {
-            *cell = (iv * nu + (fu as i32).min(nu - 1)) as u32;
+    let (nu, nv) = (grid.nu as f32, grid.nv as f32);
+    if grid.len() >= 1 << 22 {
+        for (cell, k) in cells.iter_mut().zip(ramp) {
+            let scale = 1.0 / (d0 + d1 * k);
+            *cell = grid.cell((u0 + u1 * k) * scale / nu, (v0 + v1 * k) * scale / nv);
+        }
+        return;
+    }
+    // The whole part, of 0.5 to one half less than the number of cells.
+    let whole = |x: f32| (x - 0.5) + ROUND - ROUND;
+    let number = |x: f32| (x + ROUND).to_bits() - ROUND.to_bits();
+    if grid.triangle {
+        for (cell, k) in cells.iter_mut().zip(ramp) {
+            let scale = 1.0 / (d0 + d1 * k);
+            let (fu, fv) = ((u0 + u1 * k) * scale, (v0 + v1 * k) * scale);
+            let iv = whole(fv.max(0.5).min(nv - 0.5));
+            let last = nu - 1.0 - iv;
+            let iu = whole(fu.max(0.5).min(last + 0.5));
+            let inverted = if (fu - iu) + (fv - iv) > 1.0 { 1.0 } else { 0.0 };
+            // The last cell of a row stands alone.
+            let along = (2.0 * iu + inverted).min(2.0 * last);
+            *cell = number(iv * (2.0 * nu - iv) + along);
+        }
+    } else {
+        for (cell, k) in cells.iter_mut().zip(ramp) {
+            let scale = 1.0 / (d0 + d1 * k);
+            let iu = whole(((u0 + u1 * k) * scale).max(0.5).min(nu - 0.5));
+            let iv = whole(((v0 + v1 * k) * scale).max(0.5).min(nv - 0.5));
+            *cell = number(iv * nu + iu);
         }
     }
 }
