@@ -123,7 +123,7 @@ pub struct FormFactorArgs {
     #[arg(long)]
     pub two_sided: bool,
     /// Only rows A to B - 1 (elements, or objects with --by-object, counted from 0) are computed and written.
-    #[arg(long, value_name = "A..B", value_parser = rows)]
+    #[arg(long, value_name = "A..B", value_parser = rows, allow_hyphen_values = true)]
     pub rows: Option<Range<usize>>,
     /// Move the factors as little as possible so that they obey reciprocity, or reciprocity and closure.
     #[arg(long, value_enum, default_value_t = EnforceArg::None)]
