@@ -11,7 +11,7 @@ use crate::form_factor::{
 };
 use crate::image::{self, WriteOptions};
 use crate::mesh::{Mesh, Sides, default_element_size};
-use crate::output::write_whole;
+use crate::output::{write_whole, write_whole_with};
 use crate::pipeline::{self, Event, Pass1, Stage};
 use crate::report::{FactorReport, Report, Versions, command_line};
 use crate::scene::{Scene, load};
@@ -27,7 +27,7 @@ const BATCHES: u32 = 16;
 const RESOLUTION: u32 = 256;
 /// An enclosure that loses less than this share is closed on purpose.
 const CLOSED: f64 = 1e-4;
-/// Text formats write every pair: beyond this many they would fill the disk unasked.
+/// View3D's format writes every pair: beyond this many elements it would fill the disk unasked.
 const MOST_DENSE: usize = 20_000;
 
 /// What is written to an output.
@@ -225,20 +225,18 @@ fn outputs(args: &FormFactorArgs) -> Result<Vec<(PathBuf, Format)>> {
             "csv" => Format::Csv,
             "json" => Format::Json,
             "vf" | "out" => Format::View3d,
-            _ if image::supported(path).is_ok() || is_picture(&extension) => Format::Picture,
-            _ => {
-                let known = ".npz, .csv, .json, .vf (View3D) or a picture (.png, .exr, .tif, .jpg)";
-                return Err(Error::Usage(format!("{}: write {known}", path.display())));
-            }
+            // Whether it can be written there is asked later, of all outputs.
+            _ => match image::supported(path) {
+                Err(Error::Usage(_)) => {
+                    let known = ".npz, .csv, .json, .vf (View3D) or a picture (.png, .exr, .tif, .jpg)";
+                    return Err(Error::Usage(format!("{}: write {known}", path.display())));
+                }
+                _ => Format::Picture,
+            },
         };
         Ok((path.clone(), format))
     };
     args.output.iter().map(format).collect()
-}
-
-/// Formats of [`image::write`]; that they can be written there is another question.
-fn is_picture(extension: &str) -> bool {
-    matches!(extension, "png" | "exr" | "tif" | "tiff" | "hdr" | "jpg" | "jpeg")
 }
 
 /// Refuses options that do not go together, before any work.
@@ -387,7 +385,7 @@ fn metadata() -> WriteOptions {
 
 fn write(factors: &Factors, path: &Path, format: Format) -> Result<()> {
     let bytes = match format {
-        Format::Npz => export::to_npz(factors)?,
+        Format::Npz => return write_whole_with(path, |file| export::write_npz(factors, file)),
         Format::Csv => export::to_csv(factors)?,
         Format::Json => export::to_json(factors)?,
         Format::View3d => export::to_view3d(factors),

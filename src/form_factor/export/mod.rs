@@ -7,7 +7,7 @@ mod text;
 mod view;
 
 pub use heatmap::heat_map;
-pub use npz::to_npz;
+pub use npz::write_npz;
 pub use text::{to_csv, to_json, to_view3d};
 pub use view::{View, view};
 
@@ -67,6 +67,8 @@ impl Factors {
         let n = mesh.len();
         let sides = sides(scene, mesh);
         let batches = matrix.batches();
+        // Of one randomisation each entry is a factor; of several, some entries are the same factor's.
+        let stored = if batches == 1 { matrix.stored() } else { 0 };
         let mut factors = Factors {
             by_object: false,
             names: sides.names,
@@ -74,9 +76,10 @@ impl Factors {
             areas: (0..n as u32).map(|e| mesh.area(e)).collect(),
             emissivity: (0..n as u32).map(|e| emissivity(scene, mesh.place(e).0)).collect(),
             start: vec![0],
-            columns: Vec::new(),
-            values: Vec::new(),
-            errors: Vec::new(),
+            // Grown by doubling, a large matrix would take twice its memory.
+            columns: Vec::with_capacity(stored),
+            values: Vec::with_capacity(stored),
+            errors: Vec::with_capacity(if batches > 1 { stored } else { 0 }),
             escaped: rows.clone().map(|r| color::mean(matrix.summary[r].escaped)).collect(),
             absorbed: Vec::new(),
             rays: matrix.rays_per_row,

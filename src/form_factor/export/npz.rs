@@ -1,10 +1,9 @@
 //! For NumPy and SciPy.
 
 use super::Factors;
-use crate::{Error, Result};
 use npyz::npz::NpzWriter;
 use npyz::{AutoSerialize, DType, WriterBuilder};
-use std::io::{Cursor, Result as IoResult, Seek, Write};
+use std::io::{Result as IoResult, Seek, Write};
 use zip::CompressionMethod;
 use zip::write::FileOptions;
 
@@ -13,36 +12,33 @@ use zip::write::FileOptions;
 /// `absorbed` [rows].
 ///
 /// Not compressed: factors are noise in their last digits, and compressing a matrix takes longer than finding it.
-pub fn to_npz(factors: &Factors) -> Result<Vec<u8>> {
-    let mut bytes = Cursor::new(Vec::new());
-    let mut npz = NpzWriter::new(&mut bytes);
-    let mut write = || -> IoResult<()> {
-        let text = DType::Plain("|S3".parse().map_err(std::io::Error::other)?);
-        let mut format = npz.array("format", stored())?.dtype(text).shape(&[]).begin_nd()?;
-        format.push(b"csr".as_slice())?;
-        format.finish()?;
-        let shape = [factors.rows.len(), factors.nodes()];
-        array(&mut npz, "shape", shape.iter().map(|n| *n as i64))?;
-        // SciPy wants both kinds of indices to be of one type.
-        if i32::try_from(factors.columns.len()).is_ok() {
-            array(&mut npz, "indices", factors.columns.iter().map(|j| *j as i32))?;
-            array(&mut npz, "indptr", factors.start.iter().map(|k| *k as i32))?;
-        } else {
-            array(&mut npz, "indices", factors.columns.iter().map(|j| i64::from(*j)))?;
-            array(&mut npz, "indptr", factors.start.iter().map(|k| *k as i64))?;
-        }
-        array(&mut npz, "data", factors.values.iter().copied())?;
-        array(&mut npz, "area", factors.areas.iter().copied())?;
-        array(&mut npz, "escaped", factors.escaped.iter().copied())?;
-        array(&mut npz, "absorbed", factors.absorbed.iter().copied())?;
-        if !factors.errors.is_empty() {
-            array(&mut npz, "standard_error", factors.errors.iter().copied())?;
-        }
-        Ok(())
-    };
-    write().map_err(|e| Error::io("matrix", e))?;
-    drop(npz);
-    Ok(bytes.into_inner())
+///
+/// # Errors
+/// Those of the file.
+pub fn write_npz(factors: &Factors, file: &mut (impl Write + Seek)) -> IoResult<()> {
+    let mut npz = NpzWriter::new(file);
+    let text = DType::Plain("|S3".parse().map_err(std::io::Error::other)?);
+    let mut format = npz.array("format", stored())?.dtype(text).shape(&[]).begin_nd()?;
+    format.push(b"csr".as_slice())?;
+    format.finish()?;
+    let shape = [factors.rows.len(), factors.nodes()];
+    array(&mut npz, "shape", shape.iter().map(|n| *n as i64))?;
+    // SciPy wants both kinds of indices to be of one type.
+    if i32::try_from(factors.columns.len()).is_ok() {
+        array(&mut npz, "indices", factors.columns.iter().map(|j| *j as i32))?;
+        array(&mut npz, "indptr", factors.start.iter().map(|k| *k as i32))?;
+    } else {
+        array(&mut npz, "indices", factors.columns.iter().map(|j| i64::from(*j)))?;
+        array(&mut npz, "indptr", factors.start.iter().map(|k| *k as i64))?;
+    }
+    array(&mut npz, "data", factors.values.iter().copied())?;
+    array(&mut npz, "area", factors.areas.iter().copied())?;
+    array(&mut npz, "escaped", factors.escaped.iter().copied())?;
+    array(&mut npz, "absorbed", factors.absorbed.iter().copied())?;
+    if !factors.errors.is_empty() {
+        array(&mut npz, "standard_error", factors.errors.iter().copied())?;
+    }
+    Ok(())
 }
 
 fn stored() -> FileOptions {

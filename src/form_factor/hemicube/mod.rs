@@ -164,6 +164,9 @@ impl<'a> Drawer<'a> {
                     (settings.rotations > 0).then(|| seed_of(&[settings.seed, element, batch, cube]));
                 self.cube(element, place_in_grid(grid, cube, random), random.map(turn), share, &mut beside);
             }
+            // Rows of all elements are held until the last is drawn: no spare room.
+            row.columns.reserve_exact(self.touched.len());
+            row.values.reserve_exact(self.touched.len());
             for &j in &self.touched {
                 row.columns.push(j);
                 row.values.push(self.weight[j as usize] as f32);
