@@ -142,11 +142,11 @@ pub struct FormFactorArgs {
     #[arg(long, value_name = "FILE.json")]
     pub report: Option<PathBuf>,
     #[command(flatten)]
-    pub hemicube: HemicubeArgs,
-    #[command(flatten)]
     pub pass1: Pass1Args,
     #[command(flatten)]
     pub common: Common,
+    #[command(flatten)]
+    pub hemicube: HemicubeArgs,
 }
 
 /// Options of `--method hemicube` alone.

@@ -7,9 +7,9 @@ use std::io::{Result as IoResult, Seek, Write};
 use zip::CompressionMethod;
 use zip::write::FileOptions;
 
-/// What `scipy.sparse.load_npz` reads: CSR, f64, sorted columns, [rows, nodes]. Beside it, for `numpy.load`:
-/// `standard_error` of the stored entries in their order (where there are), `area` [nodes], `escaped` and
-/// `absorbed` [rows].
+/// What `scipy.sparse.load_npz` reads: CSR, f64, sorted columns, \[rows, nodes\]. Beside it, for `numpy.load`:
+/// `standard_error` of the stored entries in their order (where there are), `area` \[nodes\], `escaped` and
+/// `absorbed` \[rows\].
 ///
 /// Not compressed: factors are noise in their last digits, and compressing a matrix takes longer than finding it.
 ///

@@ -70,7 +70,7 @@ struct ElementTable<'a> {
     written: &'static str,
 }
 
-/// JSON. Objects: [`ObjectTable`] with dense rows. Elements: `objects` (names), `object` and `areas` [elements], and the rows
+/// JSON. Objects: [`ObjectTable`] with dense rows. Elements: `objects` (names), `object` and `areas` \[elements\], and the rows
 /// `rows[0]..rows[1]` in SciPy's CSR form: row k holds `indices[indptr[k]..indptr[k + 1]]` and as many of `form_factors` and
 /// (where there are) `standard_errors`.
 pub fn to_json(factors: &Factors) -> Result<Vec<u8>> {
