@@ -27,6 +27,8 @@ const BATCHES: u32 = 16;
 const RESOLUTION: u32 = 256;
 /// An enclosure that loses less than this share is closed on purpose.
 const CLOSED: f64 = 1e-4;
+/// Most pixels along the top of a hemi-cube that is looked at.
+const MOST_VIEW_PIXELS: u32 = 1024;
 /// View3D's format writes every pair: beyond this many elements it would fill the disk unasked.
 const MOST_DENSE: usize = 20_000;
 
@@ -269,6 +271,11 @@ fn check_options(args: &FormFactorArgs, outputs: &[(PathBuf, Format)]) -> Result
         return refuse("View3D's format holds all rows: leave out --rows, or write .npz, .csv or .json");
     }
     if args.view.is_some() {
+        if h.resolution.is_some_and(|n| n > MOST_VIEW_PIXELS) {
+            return Err(Error::Usage(format!(
+                "--view unfolds a hemi-cube of {MOST_VIEW_PIXELS} pixels at most: lower --resolution"
+            )));
+        }
         if args.by_object || args.rows.is_some() || args.enforce != EnforceArg::None {
             return refuse(
                 "--view draws one element's view and no matrix: leave out --by-object, --rows and --enforce",

@@ -33,12 +33,13 @@ pub fn heat_map(factors: &Factors) -> Image {
     let named = cell >= NAMED && factors.by_object;
     let label = |node: usize| {
         let name = &factors.names[factors.object[node] as usize];
-        if factors.by_object { shortened(name, LETTERS) } else { node.to_string() }
+        if named { shortened(name, LETTERS) } else { node.to_string() }
     };
-    let longest = (0..n).map(|k| if named { width(&label(k)) } else { width(&n.to_string()) }).max();
-    let margin = longest.unwrap_or(0) + 12;
+    let margin = (0..n).map(|k| width(&label(k))).max().unwrap_or(0) + 12;
     let (left, top) = (margin + LETTER[1] + 6, margin + 2 * LETTER[1] + 10);
-    let (wide, high) = (across * cell, down * cell);
+    // Few rows of many columns are drawn taller than they are wide.
+    let tall = cell.max((120 / down.max(1)).min(64));
+    let (wide, high) = (across * cell, down * tall);
     let right = left + wide + 24;
     let mut canvas = Canvas::new((right + 120).max(left + 420), (top + high + 12).max(top + 200), WHITE);
 
@@ -48,19 +49,19 @@ pub fn heat_map(factors: &Factors) -> Image {
     for row in 0..down {
         for column in 0..across {
             let color = scale.color(values[row * across + column]);
-            canvas.fill([left + column * cell, top + row * cell], [cell, cell], color);
+            canvas.fill([left + column * cell, top + row * tall], [cell, tall], color);
         }
     }
     // Every so many that labels do not touch.
     let step = if named { 1 } else { nice_step(n, 80 * group / cell) };
-    let middle = |k: usize| k / group * cell + if cell >= NAMED { cell / 2 } else { 0 };
+    let middle = |k: usize, size: usize| k / group * size + if size >= NAMED { size / 2 } else { 0 };
     for node in (0..n).step_by(step) {
-        let (text, x) = (label(node), left + middle(node));
+        let (text, x) = (label(node), left + middle(node, cell));
         canvas.fill([x, top - 5], [1, 4], BLACK);
         canvas.text_upwards(&text, [x.saturating_sub(LETTER[1] / 2), top - 8], BLACK);
     }
-    for node in factors.rows.clone().filter(|node| node % step == 0) {
-        let (text, y) = (label(node), top + middle(node - factors.rows.start));
+    for node in factors.rows.clone().filter(|node| node % step == 0 || m == 1) {
+        let (text, y) = (label(node), top + middle(node - factors.rows.start, tall));
         canvas.fill([left - 5, y], [4, 1], BLACK);
         canvas.text(&text, [left - 8 - width(&text).min(left - 8), y.saturating_sub(LETTER[1] / 2)], BLACK);
     }
