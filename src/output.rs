@@ -2,7 +2,7 @@
 
 use crate::{Error, Result};
 use std::fs::{self, File};
-use std::io::{self, Write};
+use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -28,10 +28,19 @@ pub fn check(path: &Path) -> Result<()> {
 
 /// Writes a file beside its name and renames it. A file that was there before stays until then.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
+    write_whole_with(path, |file| file.write_all(bytes))
+}
+
+/// As [`write_whole`], for what is too large to be held as bytes.
+pub fn write_whole_with(
+    path: &Path,
+    content: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> Result<()> {
     let disk = |e: io::Error| Error::io(path, io::Error::new(e.kind(), format!("cannot be written: {e}")));
     let temporary = Temporary::beside(path);
-    let mut file = File::create_new(&temporary.0).map_err(disk)?;
-    file.write_all(bytes).map_err(disk)?;
+    let mut writer = BufWriter::new(File::create_new(&temporary.0).map_err(disk)?);
+    content(&mut writer).map_err(disk)?;
+    let file = writer.into_inner().map_err(|e| disk(e.into_error()))?;
     // Late failures of a full or remote disk show here, while the old file is still in place.
     file.sync_all().map_err(disk)?;
     drop(file);

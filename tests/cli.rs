@@ -163,8 +163,8 @@ fn outputs_that_cannot_be_written_are_found_before_the_work() {
     room.fails(&["solve", "gone.toml", "-o", "a.csv"], 2, &["a.csv", ".npz"]);
     room.fails(&["form-factors", "gone.toml", "-o", "gone/a.npz"], 1, &["gone/a.npz", "does not exist"]);
     room.fails(&["form-factors", "gone.toml", "-o", "a.txt"], 2, &["a.txt", ".npz"]);
-    room.fails(&["form-factors", "gone.toml", "-o", "a.json"], 2, &["--by-object"]);
-    room.fails(&["form-factors", "gone.toml", "--by-object", "-o", "a.npz"], 2, &["-o F.json"]);
+    room.fails(&["form-factors", "gone.toml"], 2, &["name an output", "--by-object"]);
+    room.fails(&["form-factors", "gone.toml", "--view", "0", "-o", "a.npz"], 2, &["a.npz", "picture"]);
     let report = ["--report", "gone/r.json"];
     for command in [
         &["render", "gone.toml", "-o", "a.exr"][..],

@@ -1,6 +1,7 @@
 //! Arguments as typed.
 
 use clap::{Args as ClapArgs, Parser, Subcommand, ValueEnum};
+use std::ops::Range;
 use std::path::PathBuf;
 
 /// Two-pass global illumination (Wallace, Cohen and Greenberg 1987) and form factors on Embree.
@@ -129,9 +130,25 @@ pub struct FormFactorArgs {
     /// One row and column for each object (`o`/`g` name) instead of each element.
     #[arg(long)]
     pub by_object: bool,
-    /// File to write: .npz (scipy.sparse.load_npz), or .json with --by-object; "-" for JSON on standard output.
-    #[arg(short, long, value_name = "FILE", default_value = "-")]
-    pub output: PathBuf,
+    /// Both sides of every face take part; backs come as objects `NAME:back` after all fronts.
+    #[arg(long)]
+    pub two_sided: bool,
+    /// Only rows A to B - 1 (elements, or objects with --by-object, counted from 0) are computed and written.
+    #[arg(long, value_name = "A..B", value_parser = rows, allow_hyphen_values = true)]
+    pub rows: Option<Range<usize>>,
+    /// Move the factors as little as possible so that they obey reciprocity, or reciprocity and closure.
+    #[arg(long, value_enum, default_value_t = EnforceArg::None)]
+    pub enforce: EnforceArg,
+    /// File to write; may be given several times: .npz (scipy.sparse.load_npz), .csv, .json, .vf or .out (View3D's text
+    /// format), or a picture of the matrix (.png, ...). "-" for JSON on standard output, the default with --by-object.
+    #[arg(short, long, value_name = "FILE")]
+    pub output: Vec<PathBuf>,
+    /// Draw what an element sees (its number, or an object's name for the one in its middle) to -o IMAGE; no matrix.
+    #[arg(long, value_name = "ELEMENT|OBJECT")]
+    pub view: Option<String>,
+    /// How --view lays the hemisphere flat.
+    #[arg(long, value_enum, default_value_t = ViewArg::Fisheye, requires = "view")]
+    pub view_as: ViewArg,
     /// Write what the run did as JSON.
     #[arg(long, value_name = "FILE.json")]
     pub report: Option<PathBuf>,
@@ -139,6 +156,27 @@ pub struct FormFactorArgs {
     pub pass1: Pass1Args,
     #[command(flatten)]
     pub common: Common,
+    #[command(flatten)]
+    pub hemicube: HemicubeArgs,
+}
+
+/// Options of `--method hemicube` alone.
+#[derive(Debug, ClapArgs)]
+#[command(next_help_heading = "Hemi-cube")]
+pub struct HemicubeArgs {
+    /// Pixels along each edge of the hemi-cube's top [default: 256].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(crate::form_factor::MOST_PIXELS)))]
+    pub resolution: Option<u32>,
+    /// N x N hemi-cubes over each element instead of one at its centre.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=64))]
+    pub hemicube_grid: Option<u32>,
+    /// N independent random rotations of every hemi-cube about the normal, which make noise of aliasing; from 2 on they give
+    /// standard errors, of aliasing and (with a grid) of what its points miss [default: none].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    pub rotate: Option<u32>,
+    /// Measure the errors of aliasing, proximity and visibility from a point on a sample of rows, for --report.
+    #[arg(long)]
+    pub hemicube_errors: bool,
 }
 
 #[derive(Debug, ClapArgs)]
@@ -237,6 +275,26 @@ pub enum EstimatorArg {
 pub enum FactorMethodArg {
     /// Ray-cast hemisphere sampling.
     Ray,
+    /// Hemi-cubes drawn with a z-buffer (Cohen and Greenberg 1985).
+    Hemicube,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum EnforceArg {
+    /// The raw estimates.
+    None,
+    /// A_i F_ij = A_j F_ji.
+    Reciprocity,
+    /// Reciprocity, and rows that sum to 1 less what escapes.
+    Closure,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ViewArg {
+    /// Orthographic: equal areas are equal form factors.
+    Fisheye,
+    /// Unfolded hemi-cube.
+    Hemicube,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -264,6 +322,14 @@ fn count(s: &str) -> Result<u32, String> {
     match s.parse::<u32>() {
         Ok(n) if n > 0 && n <= 1 << 30 => Ok(n),
         _ => Err("must be a whole number from 1 to 1073741824".into()),
+    }
+}
+
+fn rows(s: &str) -> Result<Range<usize>, String> {
+    let parsed = s.split_once("..").and_then(|(a, b)| Some(a.parse().ok()?..b.parse().ok()?));
+    match parsed {
+        Some(range) if range.start < range.end => Ok(range),
+        _ => Err("must be A..B with whole numbers A < B: rows A to B - 1, counted from 0".into()),
     }
 }
 

@@ -1,114 +1,426 @@
 //! `twopass form-factors`.
 
-use super::args::{FactorMethodArg, FormFactorArgs, MirrorArg};
+use super::args::{EnforceArg, FactorMethodArg, FormFactorArgs, MirrorArg, ViewArg};
 use super::check_outputs;
 use super::progress::Progress;
 use super::render::pass1;
 use crate::embree::Device;
-use crate::form_factor::{Casting, ObjectTable, cast, cast_images};
+use crate::form_factor::export::{self, View};
+use crate::form_factor::{
+    Casting, Enforce, ExchangeMatrix, Factors, HemicubeErrors, HemicubeSettings, cast_images, cast_rows,
+    correct, hemicube,
+};
+use crate::image::{self, WriteOptions};
 use crate::mesh::{Mesh, Sides, default_element_size};
-use crate::output::write_whole;
-use crate::pipeline::{self, Event, Stage};
-use crate::report::{FactorReport, Report, Versions};
-use crate::scene::load;
+use crate::output::{write_whole, write_whole_with};
+use crate::pipeline::{self, Event, Pass1, Stage};
+use crate::report::{FactorReport, Report, Versions, command_line};
+use crate::scene::{Scene, load};
 use crate::visibility::Visibility;
 use crate::{Error, Result};
 use std::io::Write;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Independent randomisations: enough that four standard errors hold almost always (15 degrees of freedom).
 const BATCHES: u32 = 16;
+/// Pixels along the top of a hemi-cube where nobody says otherwise.
+const RESOLUTION: u32 = 256;
+/// An enclosure that loses less than this share is closed on purpose.
+const CLOSED: f64 = 1e-4;
+/// Most pixels along the top of a hemi-cube that is looked at.
+const MOST_VIEW_PIXELS: u32 = 1024;
+/// View3D's format writes every pair: beyond this many elements it would fill the disk unasked.
+const MOST_DENSE: usize = 20_000;
+
+/// What is written to an output.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Format {
+    Npz,
+    Csv,
+    Json,
+    View3d,
+    Picture,
+}
 
 pub fn run(args: &FormFactorArgs) -> Result<()> {
-    let FactorMethodArg::Ray = args.method;
-    let to_stdout = args.output.as_os_str() == "-";
-    let extension = args.output.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-    match (to_stdout, extension.as_str(), args.by_object) {
-        (true, _, true) | (false, "json", true) | (false, "npz", false) => {}
-        (true, _, false) | (false, "json", false) => {
-            return Err(Error::Usage(
-                "JSON holds one row an object: add --by-object, or write -o F.npz".into(),
-            ));
-        }
-        (false, "npz", true) => {
-            return Err(Error::Usage(
-                "--by-object is written as JSON: -o F.json, or -o - for standard output".into(),
-            ));
-        }
-        _ => return Err(Error::Usage(format!("{}: write .json or .npz", args.output.display()))),
-    }
-    let file = (!to_stdout).then_some(&args.output);
-    check_outputs(&args.scene, file.into_iter().chain(&args.report))?;
+    let outputs = outputs(args)?;
+    check_options(args, &outputs)?;
+    let files = outputs.iter().map(|o| &o.0).filter(|path| !is_stdout(path));
+    check_outputs(&args.scene, files.chain(&args.report))?;
     let progress = Progress::new(args.common.quiet);
     let observer = &|e| progress.tell(e);
     let mut stages: Vec<Stage> = Vec::new();
     let scene = pipeline::stage("load", 0, observer, &mut stages, || (load(&args.scene), 0))?;
     scene.warnings.iter().for_each(|w| progress.warn(w));
     let settings = pass1(&args.pass1, &scene, args.common.seed);
-    let device = Device::new(rayon::current_num_threads())?;
-    let visibility =
-        pipeline::stage("build", 0, observer, &mut stages, || (Visibility::new(&device, &scene), 0))?;
     let size = settings.element_size.unwrap_or_else(|| default_element_size(&scene));
-    let start = Instant::now();
-    let sides = if args.mirror == MirrorArg::None {
-        Sides::fronts(&scene)
-    } else {
-        Sides::fronts(&scene).without_purely_specular(&scene)
-    };
+    let mut sides = if args.two_sided { Sides::all(&scene) } else { Sides::fronts(&scene) };
+    if args.mirror != MirrorArg::None {
+        sides = sides.without_purely_specular(&scene);
+    }
     let mesh = Mesh::new(&scene, &sides, size, true)?;
-    let matrix = pipeline::stage("form-factors", mesh.len() as u64, observer, &mut stages, || {
-        let advance = |n| progress.tell(Event::Advance(n));
-        if args.mirror == MirrorArg::Image {
-            let work = (settings.rays, BATCHES);
-            let matrix = cast_images(&visibility, &mesh, work, settings.seed, &advance);
-            let rays = matrix.as_ref().map_or(0, |m| m.rays);
-            return (matrix, rays);
-        }
-        let casting = Casting {
-            rays: settings.rays,
-            batches: BATCHES,
-            seed: settings.seed,
-            specular: args.mirror == MirrorArg::Chain,
-            reached: None,
-            emitters: None,
-            progress: &advance,
+    let rows = selected(args, &scene, &mesh)?;
+    let viewed = args.view.as_deref().map(|v| viewed(v, &scene, &mesh)).transpose()?;
+    let dense = outputs.iter().any(|o| o.1 == Format::View3d) && !args.by_object;
+    if dense && mesh.len() > MOST_DENSE {
+        return Err(Error::Usage(format!(
+            "View3D's format holds every pair of {} elements: more than {MOST_DENSE} are too many; write .npz, add --by-object or \
+             choose a larger --element-size",
+            mesh.len()
+        )));
+    }
+
+    let device = Device::new(rayon::current_num_threads())?;
+    let mut warnings = scene.warnings.clone();
+    let mut report = None;
+    if let Some(element) = viewed {
+        let visibility =
+            pipeline::stage("build", 0, observer, &mut stages, || (Visibility::new(&device, &scene), 0))?;
+        let how = match args.view_as {
+            ViewArg::Fisheye => View::Fisheye,
+            ViewArg::Hemicube => View::Hemicube(args.hemicube.resolution.unwrap_or(RESOLUTION)),
         };
-        let (matrix, _) = cast(&visibility, &mesh, &casting);
-        let rays = matrix.rays;
-        (Ok(matrix), rays)
-    })?;
-    let seconds = start.elapsed().as_secs_f64();
-    pipeline::stage("write", 0, observer, &mut stages, || {
-        (write(args, to_stdout, &scene, &mesh, &matrix, seconds), 0)
-    })?;
+        let picture = pipeline::stage("trace", 0, observer, &mut stages, || {
+            (export::view(&visibility, &mesh, element, how), 0)
+        });
+        pipeline::stage("write", 0, observer, &mut stages, || {
+            (outputs.iter().try_for_each(|(path, _)| image::write(&picture, path, &metadata())), 0)
+        })?;
+    } else {
+        let mut run = Run { args, scene: &scene, mesh: &mesh, progress: &progress, stages: &mut stages };
+        let start = Instant::now();
+        let matrix = run.matrix(&device, &settings, rows.as_deref())?;
+        let range = args.rows.clone();
+        let seconds = start.elapsed().as_secs_f64();
+        let of = if args.by_object { Factors::of_objects } else { Factors::of_elements };
+        let all = if args.by_object {
+            scene.objects.len() * if args.two_sided { 2 } else { 1 }
+        } else {
+            mesh.len()
+        };
+        let mut factors = of(&scene, &mesh, &matrix, range.unwrap_or(0..all), seconds);
+        let losses = losses(&factors, args.two_sided);
+        losses.iter().for_each(|w| progress.warn(w));
+        warnings.extend(losses);
+        let mut numbers = FactorReport::new(&scene, &mesh, &matrix, rows.as_deref(), &factors);
+        drop(matrix);
+        if let Some(enforce) = enforced(args.enforce) {
+            let correction = correct(&mut factors, enforce)?;
+            progress.line(&format!(
+                "{} enforced: factors moved by {:.1e} at most, {:.1e} RMS{}",
+                correction.enforced,
+                correction.largest_move,
+                correction.rms_move,
+                correction
+                    .rms_move_in_standard_errors
+                    .map(|m| format!(" ({m:.2} standard errors)"))
+                    .unwrap_or_default()
+            ));
+            numbers.written = factors.written;
+            numbers.correction = Some(correction);
+        }
+        if args.method == FactorMethodArg::Hemicube {
+            let settings = hemicube_settings(args);
+            numbers.hemicube = Some(settings);
+            if args.hemicube.hemicube_errors {
+                let errors = HemicubeErrors::measure(&scene, &mesh, &settings);
+                progress.line(&format!(
+                    "RMS error of a factor from aliasing {:.1e}, proximity {:.1e}, visibility from a point {:.1e}",
+                    errors.aliasing_rms, errors.proximity_rms, errors.visibility_rms
+                ));
+                numbers.hemicube_errors = Some(errors);
+            }
+        }
+        pipeline::stage("write", 0, observer, &mut stages, || {
+            (outputs.iter().try_for_each(|(path, format)| write(&factors, path, *format)), 0)
+        })?;
+        report = Some(numbers);
+    }
     if let Some(path) = &args.report {
-        let mut report =
-            Report::new(&scene, Versions::new(&device), args.common.seed, stages, scene.warnings.clone());
-        report.elements = mesh.len();
-        report.form_factors = Some(FactorReport::new(&scene, &mesh, &matrix));
-        report.write(path)?;
+        let mut whole = Report::new(&scene, Versions::new(&device), args.common.seed, stages, warnings);
+        whole.elements = mesh.len();
+        whole.form_factors = report;
+        whole.write(path)?;
     }
     Ok(())
 }
 
-fn write(
-    args: &FormFactorArgs,
-    to_stdout: bool,
-    scene: &crate::scene::Scene,
-    mesh: &Mesh,
-    matrix: &crate::form_factor::ExchangeMatrix,
-    seconds: f64,
-) -> Result<()> {
-    if !args.by_object {
-        return write_whole(&args.output, &matrix.to_npz()?);
+/// The stage that finds the matrix, by either method.
+struct Run<'a> {
+    args: &'a FormFactorArgs,
+    scene: &'a Scene,
+    mesh: &'a Mesh,
+    progress: &'a Progress,
+    stages: &'a mut Vec<Stage>,
+}
+
+impl Run<'_> {
+    fn matrix(&mut self, device: &Device, settings: &Pass1, rows: Option<&[bool]>) -> Result<ExchangeMatrix> {
+        let progress = self.progress;
+        let observer = &|e| progress.tell(e);
+        let advance = |n| progress.tell(Event::Advance(n));
+        let count = rows.map_or(self.mesh.len(), |r| r.iter().filter(|r| **r).count()) as u64;
+        match self.args.method {
+            FactorMethodArg::Ray => {
+                let visibility = pipeline::stage("build", 0, observer, self.stages, || {
+                    (Visibility::new(device, self.scene), 0)
+                })?;
+                if self.args.mirror == MirrorArg::Image {
+                    return pipeline::stage("form-factors", count, observer, self.stages, || {
+                        let work = (settings.rays, BATCHES);
+                        let matrix = cast_images(&visibility, self.mesh, work, settings.seed, &advance);
+                        let rays = matrix.as_ref().map_or(0, |m| m.rays);
+                        (matrix, rays)
+                    });
+                }
+                Ok(pipeline::stage("form-factors", count, observer, self.stages, || {
+                    let casting = Casting {
+                        rays: settings.rays,
+                        batches: BATCHES,
+                        seed: settings.seed,
+                        specular: self.args.mirror == MirrorArg::Chain,
+                        reached: None,
+                        emitters: None,
+                        progress: &advance,
+                    };
+                    let (matrix, _) = cast_rows(&visibility, self.mesh, &casting, rows);
+                    let rays = matrix.rays;
+                    (matrix, rays)
+                }))
+            }
+            FactorMethodArg::Hemicube => {
+                let settings = hemicube_settings(self.args);
+                Ok(pipeline::stage("form-factors", count, observer, self.stages, || {
+                    (hemicube(self.scene, self.mesh, &settings, rows, &advance), 0)
+                }))
+            }
+        }
     }
-    let table = ObjectTable::new(scene, mesh, matrix, seconds);
-    let text = serde_json::to_string(&table).map_err(|e| Error::parse(&args.output, None, e.to_string()))?;
-    if to_stdout {
+}
+
+fn hemicube_settings(args: &FormFactorArgs) -> HemicubeSettings {
+    HemicubeSettings {
+        resolution: args.hemicube.resolution.unwrap_or(RESOLUTION),
+        grid: args.hemicube.hemicube_grid.unwrap_or(1),
+        rotations: args.hemicube.rotate.unwrap_or(0),
+        seed: args.common.seed,
+    }
+}
+
+fn enforced(arg: EnforceArg) -> Option<Enforce> {
+    match arg {
+        EnforceArg::None => None,
+        EnforceArg::Reciprocity => Some(Enforce::Reciprocity),
+        EnforceArg::Closure => Some(Enforce::Closure),
+    }
+}
+
+fn is_stdout(path: &Path) -> bool {
+    path.as_os_str() == "-"
+}
+
+/// Outputs and their formats.
+fn outputs(args: &FormFactorArgs) -> Result<Vec<(PathBuf, Format)>> {
+    if args.output.is_empty() {
+        return match (args.view.is_some(), args.by_object) {
+            (true, _) => Err(Error::Usage("--view draws a picture: name it with -o VIEW.png".into())),
+            (false, true) => Ok(vec![(PathBuf::from("-"), Format::Json)]),
+            (false, false) => Err(Error::Usage(
+                "name an output: -o F.npz, .csv, .json, .vf or .png; or add --by-object for a table on standard output".into(),
+            )),
+        };
+    }
+    let format = |path: &PathBuf| {
+        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+        let format = match extension.as_str() {
+            _ if is_stdout(path) => Format::Json,
+            "npz" => Format::Npz,
+            "csv" => Format::Csv,
+            "json" => Format::Json,
+            "vf" | "out" => Format::View3d,
+            // Whether it can be written there is asked later, of all outputs.
+            _ => match image::supported(path) {
+                Err(Error::Usage(_)) => {
+                    let known = ".npz, .csv, .json, .vf (View3D) or a picture (.png, .exr, .tif, .jpg)";
+                    return Err(Error::Usage(format!("{}: write {known}", path.display())));
+                }
+                _ => Format::Picture,
+            },
+        };
+        Ok((path.clone(), format))
+    };
+    args.output.iter().map(format).collect()
+}
+
+/// Refuses options that do not go together, before any work.
+fn check_options(args: &FormFactorArgs, outputs: &[(PathBuf, Format)]) -> Result<()> {
+    let refuse = |message: &str| Err(Error::Usage(message.into()));
+    let h = &args.hemicube;
+    let view_cube = args.view.is_some() && args.view_as == ViewArg::Hemicube;
+    if args.method != FactorMethodArg::Hemicube {
+        let given = [
+            ("--resolution", h.resolution.is_some() && !view_cube),
+            ("--hemicube-grid", h.hemicube_grid.is_some()),
+            ("--rotate", h.rotate.is_some()),
+            ("--hemicube-errors", h.hemicube_errors),
+        ];
+        if let Some((option, _)) = given.iter().find(|g| g.1) {
+            return Err(Error::Usage(format!("{option} belongs to --method hemicube")));
+        }
+    } else if args.pass1.rays.is_some() {
+        return refuse(
+            "--method hemicube casts no rays: use --resolution and --hemicube-grid instead of --rays",
+        );
+    }
+    if args.method != FactorMethodArg::Ray && args.mirror != MirrorArg::None {
+        return refuse("--mirror belongs to --method ray");
+    }
+    if args.mirror == MirrorArg::Image && args.rows.is_some() {
+        return refuse("--mirror image finds all rows: leave out --rows, or use --mirror chain");
+    }
+    if h.hemicube_errors && args.report.is_none() {
+        return refuse("--hemicube-errors are written to a report: add --report FILE.json");
+    }
+    if args.rows.is_some() && args.enforce != EnforceArg::None {
+        return refuse("--enforce moves all rows together: leave out --rows");
+    }
+    if args.rows.is_some() && outputs.iter().any(|o| o.1 == Format::View3d) {
+        return refuse("View3D's format holds all rows: leave out --rows, or write .npz, .csv or .json");
+    }
+    if args.view.is_some() {
+        if h.resolution.is_some_and(|n| n > MOST_VIEW_PIXELS) {
+            return Err(Error::Usage(format!(
+                "--view unfolds a hemi-cube of {MOST_VIEW_PIXELS} pixels at most: lower --resolution"
+            )));
+        }
+        if args.by_object || args.rows.is_some() || args.enforce != EnforceArg::None {
+            return refuse(
+                "--view draws one element's view and no matrix: leave out --by-object, --rows and --enforce",
+            );
+        }
+        if let Some((path, _)) = outputs.iter().find(|o| o.1 != Format::Picture) {
+            return Err(Error::Usage(format!(
+                "{}: --view draws a picture; write .png, .exr, .tif or .jpg",
+                path.display()
+            )));
+        }
+    }
+    if outputs.iter().filter(|o| is_stdout(&o.0)).count() > 1 {
+        return refuse("-o -: standard output is given twice");
+    }
+    Ok(())
+}
+
+/// Elements whose rows are computed; none: all.
+fn selected(args: &FormFactorArgs, scene: &Scene, mesh: &Mesh) -> Result<Option<Vec<bool>>> {
+    let Some(rows) = &args.rows else { return Ok(None) };
+    let objects = scene.objects.len();
+    let (count, what) = match (args.by_object, args.two_sided) {
+        (false, _) => (mesh.len(), "elements"),
+        (true, false) => (objects, "objects"),
+        (true, true) => (2 * objects, "sides of objects"),
+    };
+    if rows.end > count {
+        return Err(Error::Usage(format!(
+            "--rows {}..{}: there are {count} {what}, so rows go from 0 to {count} at most",
+            rows.start, rows.end
+        )));
+    }
+    let row = |e: u32| {
+        let (face, front, _) = mesh.place(e);
+        match args.by_object {
+            false => e as usize,
+            true => scene.faces[face as usize].object as usize + if front { 0 } else { objects },
+        }
+    };
+    Ok(Some((0..mesh.len() as u32).map(|e| rows.contains(&row(e))).collect()))
+}
+
+/// The element that `--view` names.
+fn viewed(name: &str, scene: &Scene, mesh: &Mesh) -> Result<u32> {
+    let object = scene.objects.iter().position(|o| o == name);
+    if let (None, Ok(element)) = (object, name.parse::<u32>()) {
+        if (element as usize) < mesh.len() {
+            return Ok(element);
+        }
+        return Err(Error::Usage(format!(
+            "--view {element}: there are {} elements, numbered from 0",
+            mesh.len()
+        )));
+    }
+    let Some(object) = object else {
+        return Err(Error::Usage(format!(
+            "--view {name}: no element or object of that name; objects are {}",
+            scene.objects.join(", ")
+        )));
+    };
+    let own: Vec<u32> = (0..mesh.len() as u32)
+        .filter(|e| {
+            let (face, front, _) = mesh.place(*e);
+            front && scene.faces[face as usize].object as usize == object
+        })
+        .collect();
+    let middle = own.iter().map(|e| mesh.centroid(scene, *e)).sum::<glam::DVec3>() / own.len().max(1) as f64;
+    let distance = |e: &u32| mesh.centroid(scene, *e).distance_squared(middle);
+    own.iter()
+        .copied()
+        .min_by(|a, b| distance(a).total_cmp(&distance(b)))
+        .ok_or_else(|| Error::Usage(format!("--view {name}: the object has no elements")))
+}
+
+/// What the user should know of rows that do not sum to one.
+fn losses(factors: &Factors, two_sided: bool) -> Vec<String> {
+    let most = |objects: &[(String, f64)]| {
+        let named: Vec<String> = objects
+            .iter()
+            .take(3)
+            .map(|(name, share)| format!("\"{name}\" {:.3} %", 100.0 * share))
+            .collect();
+        format!("{}{}", named.join(", "), if objects.len() > 3 { ", ..." } else { "" })
+    };
+    let mut warnings = Vec::new();
+    let (share, objects) = factors.loss(&factors.escaped);
+    if share > CLOSED {
+        warnings.push(format!(
+            "the enclosure is open: {:.3} % of what leaves its surfaces escapes, most from {}; rows sum to 1 less that share",
+            100.0 * share,
+            most(&objects)
+        ));
+    }
+    let (share, objects) = factors.loss(&factors.absorbed);
+    if share > CLOSED && !two_sided {
+        warnings.push(format!(
+            "{:.3} % of what leaves the surfaces lands on backs of faces, most from {}; turn faces that look the wrong way, or give \
+             both sides factors with --two-sided",
+            100.0 * share,
+            most(&objects)
+        ));
+    }
+    warnings
+}
+
+fn metadata() -> WriteOptions {
+    let text = [
+        ("Software", format!("twopass {}", env!("CARGO_PKG_VERSION"))),
+        ("twopass:command", command_line().join(" ")),
+    ];
+    WriteOptions { exposure: 0.0, metadata: text.map(|(k, v)| (k.to_string(), v)).to_vec() }
+}
+
+fn write(factors: &Factors, path: &Path, format: Format) -> Result<()> {
+    let bytes = match format {
+        Format::Npz => return write_whole_with(path, |file| export::write_npz(factors, file)),
+        Format::Csv => export::to_csv(factors)?,
+        Format::Json => export::to_json(factors)?,
+        Format::View3d => export::to_view3d(factors),
+        Format::Picture => return image::write(&export::heat_map(factors), path, &metadata()),
+    };
+    if is_stdout(path) {
         // A closed pipe is the reader's choice, but it must not look like success.
         let mut out = std::io::stdout();
-        let written = writeln!(out, "{text}").and_then(|()| out.flush());
+        let written = out.write_all(&bytes).and_then(|()| out.flush());
         return written.map_err(|e| Error::io("standard output", e));
     }
-    write_whole(&args.output, format!("{text}\n").as_bytes())
+    write_whole(path, &bytes)
 }

@@ -100,6 +100,16 @@ pub fn cast(
     mesh: &Mesh,
     casting: &Casting,
 ) -> (ExchangeMatrix, Vec<EmitterIrradiance>) {
+    cast_rows(visibility, mesh, casting, None)
+}
+
+/// As [`cast`], for those elements alone that `rows` names; other rows stay empty, without any exposed area.
+pub fn cast_rows(
+    visibility: &Visibility,
+    mesh: &Mesh,
+    casting: &Casting,
+    rows: Option<&[bool]>,
+) -> (ExchangeMatrix, Vec<EmitterIrradiance>) {
     let scene = visibility.scene();
     let batches = casting.batches.max(casting.rays.div_ceil(MAX_POINTS)).clamp(1, casting.rays.max(1));
     let per_batch = casting.rays.max(1).div_ceil(batches);
@@ -122,8 +132,8 @@ pub fn cast(
             || Scratch::new(n, shared.channels),
             |scratch, b| {
                 let range = b * BLOCK..((b + 1) * BLOCK).min(n);
-                let count = range.len() as u64;
-                let block = shared.block(scratch, range);
+                let count = range.clone().filter(|e| rows.is_none_or(|r| r[*e])).count() as u64;
+                let block = shared.block(scratch, range, rows);
                 (casting.progress)(count);
                 block
             },
@@ -208,6 +218,16 @@ struct Block {
     rays: u64,
 }
 
+impl Block {
+    /// A row that was not asked for.
+    fn skip(&mut self, batches: usize, emitters: bool) {
+        self.start.extend(std::iter::repeat_n(self.columns.len() as u32, batches));
+        self.summary.push(RowSummary::default());
+        self.emitted
+            .extend(std::iter::repeat_n(EmitterIrradiance::default(), if emitters { batches } else { 0 }));
+    }
+}
+
 /// Dense accumulators of one thread; only the touched columns are visited and cleared.
 struct Scratch {
     weight: Vec<f32>,
@@ -226,10 +246,14 @@ impl Shared<'_, '_> {
         self.batches * self.table.len() as u32
     }
 
-    fn block(&self, scratch: &mut Scratch, elements: std::ops::Range<usize>) -> Block {
+    fn block(&self, scratch: &mut Scratch, elements: std::ops::Range<usize>, rows: Option<&[bool]>) -> Block {
         let mut block = Block::default();
         for element in elements {
-            self.row(scratch, element as u32, &mut block);
+            if rows.is_none_or(|r| r[element]) {
+                self.row(scratch, element as u32, &mut block);
+            } else {
+                block.skip(self.batches as usize, self.casting.emitters.is_some());
+            }
         }
         block
     }

@@ -9,7 +9,7 @@ pub mod suite;
 mod text;
 
 use crate::color::Rgb;
-use crate::form_factor::ExchangeMatrix;
+use crate::form_factor::{Correction, ExchangeMatrix, Factors, HemicubeErrors, HemicubeSettings};
 use crate::mesh::Mesh;
 use crate::output::write_whole;
 use crate::pipeline::{Pass1, Pass1Result, Residuals, Stage};
@@ -105,29 +105,59 @@ impl Pass1Report {
 }
 
 /// Form factors in numbers.
-#[derive(Debug, Clone, Copy, Serialize)]
+#[derive(Debug, Clone, Serialize)]
 pub struct FactorReport {
-    /// Rays an element.
+    /// `ray` or `hemicube`.
+    pub method: &'static str,
+    /// Rays an element; 0 where none are cast.
     pub rays_per_element: u32,
     /// Entries of the matrix.
     pub stored_factors: usize,
     /// Bytes of the matrix.
     pub matrix_bytes: usize,
-    /// Largest departure of a row from closure.
+    /// Largest departure of a row from closure, escaped and absorbed shares included.
     pub closure: f64,
-    /// Departure from reciprocity between objects.
-    pub reciprocity: f64,
+    /// Departure from reciprocity between objects; none where only some rows were computed.
+    pub reciprocity: Option<f64>,
+    /// Share of what leaves all elements that left the scene.
+    pub escaped: f64,
+    /// Share of what leaves all elements that landed on sides without elements.
+    pub absorbed: f64,
+    /// Which matrix was written: `raw`, `reciprocity` or `closure`.
+    pub written: &'static str,
+    /// How far the written matrix is from the raw one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub correction: Option<Correction>,
+    /// How hemi-cubes were drawn.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hemicube: Option<HemicubeSettings>,
+    /// The hemi-cube's own errors, where they were asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hemicube_errors: Option<HemicubeErrors>,
 }
 
 impl FactorReport {
-    /// Collects the numbers of a matrix of ordinary form factors.
-    pub fn new(scene: &Scene, mesh: &Mesh, matrix: &ExchangeMatrix) -> FactorReport {
+    /// Collects the numbers of a matrix of ordinary form factors; `rows` of those that were not all computed.
+    pub fn new(
+        scene: &Scene,
+        mesh: &Mesh,
+        matrix: &ExchangeMatrix,
+        rows: Option<&[bool]>,
+        written: &Factors,
+    ) -> FactorReport {
         FactorReport {
+            method: if matrix.rays > 0 { "ray" } else { "hemicube" },
             rays_per_element: matrix.rays_per_row,
             stored_factors: matrix.stored(),
             matrix_bytes: matrix.bytes(),
             closure: matrix.closure_residual(|_| Rgb::ZERO),
-            reciprocity: matrix.reciprocity_residual(scene, mesh),
+            reciprocity: rows.is_none().then(|| matrix.reciprocity_residual(scene, mesh)),
+            escaped: written.loss(&written.escaped).0,
+            absorbed: written.loss(&written.absorbed).0,
+            written: written.written,
+            correction: None,
+            hemicube: None,
+            hemicube_errors: None,
         }
     }
 }

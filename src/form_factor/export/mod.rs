@@ -1,0 +1,221 @@
+//! Form factors as data that every format is made of: small functions from [`Factors`] to bytes or pixels.
+
+mod canvas;
+mod heatmap;
+mod npz;
+mod text;
+mod view;
+
+pub use heatmap::heat_map;
+pub use npz::write_npz;
+pub use text::{to_csv, to_json, to_view3d};
+pub use view::{View, view};
+
+use super::{ExchangeMatrix, ObjectTable};
+use crate::color;
+use crate::mesh::Mesh;
+use crate::scene::Scene;
+use std::ops::Range;
+
+/// Form factors between nodes, which are the elements of a scene or its objects (one for each side that takes part).
+///
+/// Rows are sparse, in the order of their columns, f64. What left the scene or landed on sides that
+/// take no part is kept beside them, so that each row's factors, escaped and absorbed shares sum to 1.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Factors {
+    /// Nodes are objects; elements otherwise.
+    pub by_object: bool,
+    /// Names of the objects' sides that take part: the object's own for fronts, `NAME:back` for backs (after all fronts).
+    pub names: Vec<String>,
+    /// Index into `names` of each node.
+    pub object: Vec<u32>,
+    /// Area of each node [m^2].
+    pub areas: Vec<f64>,
+    /// Share of diffuse light that each node's material absorbs: 1 less its albedo and transmittance, mean of the channels.
+    pub emissivity: Vec<f64>,
+    /// Nodes whose rows are held; all of them unless only some were asked for.
+    pub rows: Range<usize>,
+    /// Start of each held row, and the end.
+    pub start: Vec<usize>,
+    /// Column (node) of each factor.
+    pub columns: Vec<u32>,
+    /// Factors from the row's node to the column's.
+    pub values: Vec<f64>,
+    /// Standard error of each factor; empty where a single randomisation gives none.
+    pub errors: Vec<f64>,
+    /// Share of each held row that left the scene.
+    pub escaped: Vec<f64>,
+    /// Share of each held row that landed on a side of a face without nodes, or was dropped.
+    pub absorbed: Vec<f64>,
+    /// Rays an element; 0 where none were cast.
+    pub rays: u32,
+    /// Seconds that the computation took.
+    pub seconds: f64,
+    /// `raw`, or which conditions a correction has enforced.
+    pub written: &'static str,
+}
+
+impl Factors {
+    /// One node an element; `rows` of them are kept.
+    pub fn of_elements(
+        scene: &Scene,
+        mesh: &Mesh,
+        matrix: &ExchangeMatrix,
+        rows: Range<usize>,
+        seconds: f64,
+    ) -> Factors {
+        let n = mesh.len();
+        let sides = sides(scene, mesh);
+        let batches = matrix.batches();
+        // Of one randomisation each entry is a factor; of several, some entries are the same factor's.
+        let stored = if batches == 1 { matrix.stored() } else { 0 };
+        let mut factors = Factors {
+            by_object: false,
+            names: sides.names,
+            object: (0..n).map(|e| sides.of_element[e]).collect(),
+            areas: (0..n as u32).map(|e| mesh.area(e)).collect(),
+            emissivity: (0..n as u32).map(|e| emissivity(scene, mesh.place(e).0)).collect(),
+            start: vec![0],
+            // Grown by doubling, a large matrix would take twice its memory.
+            columns: Vec::with_capacity(stored),
+            values: Vec::with_capacity(stored),
+            errors: Vec::with_capacity(if batches > 1 { stored } else { 0 }),
+            escaped: rows.clone().map(|r| color::mean(matrix.summary[r].escaped)).collect(),
+            absorbed: Vec::new(),
+            rays: matrix.rays_per_row,
+            seconds,
+            written: "raw",
+            rows: rows.clone(),
+        };
+        let (mut sum, mut square, mut touched) = (vec![0.0; n], vec![0.0; n], Vec::new());
+        for row in rows {
+            let summary = &matrix.summary[row];
+            factors.absorbed.push(color::mean(summary.absorbed + summary.dropped));
+            for (j, f) in matrix.row(row) {
+                let f = color::mean(f);
+                if sum[j] == 0.0 {
+                    touched.push(j as u32);
+                }
+                sum[j] += f;
+                square[j] += f * f;
+            }
+            touched.sort_unstable();
+            for &j in &touched {
+                let (total, squares) = (sum[j as usize], square[j as usize]);
+                (sum[j as usize], square[j as usize]) = (0.0, 0.0);
+                factors.columns.push(j);
+                factors.values.push(total);
+                if batches > 1 {
+                    // Each randomisation's estimate is `batches` times its share of the row; its absence is an estimate of 0.
+                    let b = batches as f64;
+                    factors.errors.push(((b * squares - total * total).max(0.0) / (b - 1.0)).sqrt());
+                }
+            }
+            touched.clear();
+            factors.start.push(factors.columns.len());
+        }
+        factors
+    }
+
+    /// One node for each side of an object; `rows` of them are kept. Zeros are kept too.
+    pub fn of_objects(
+        scene: &Scene,
+        mesh: &Mesh,
+        matrix: &ExchangeMatrix,
+        rows: Range<usize>,
+        seconds: f64,
+    ) -> Factors {
+        let table = ObjectTable::new(scene, mesh, matrix, seconds);
+        let sides = sides(scene, mesh);
+        let n = table.objects.len();
+        let (mut absorbed, mut reflected) = (vec![0.0; n], vec![0.0; n]);
+        for e in 0..mesh.len() {
+            let a = sides.of_element[e] as usize;
+            let share = mesh.area(e as u32) / table.areas[a];
+            let summary = &matrix.summary[e];
+            absorbed[a] += share * color::mean(summary.absorbed + summary.dropped);
+            reflected[a] += share * (1.0 - emissivity(scene, mesh.place(e as u32).0));
+        }
+        let some = |table: Vec<Vec<f64>>| -> Vec<f64> {
+            table[rows.clone()].iter().flat_map(|row| row.iter().copied()).collect()
+        };
+        Factors {
+            by_object: true,
+            names: table.objects,
+            object: (0..n as u32).collect(),
+            areas: table.areas,
+            emissivity: reflected.iter().map(|r| 1.0 - r).collect(),
+            start: (0..=rows.len()).map(|r| r * n).collect(),
+            columns: rows.clone().flat_map(|_| 0..n as u32).collect(),
+            values: some(table.form_factors),
+            errors: if matrix.batches() > 1 { some(table.standard_errors) } else { Vec::new() },
+            escaped: table.escaped[rows.clone()].to_vec(),
+            absorbed: absorbed[rows.clone()].to_vec(),
+            rays: table.rays,
+            seconds,
+            written: "raw",
+            rows,
+        }
+    }
+
+    /// Number of nodes, which is that of columns.
+    pub fn nodes(&self) -> usize {
+        self.areas.len()
+    }
+
+    /// Name of a node: the object's, and the element's number where nodes are elements.
+    pub fn name(&self, node: usize) -> String {
+        let name = &self.names[self.object[node] as usize];
+        if self.by_object { name.clone() } else { format!("element {node} of \"{name}\"") }
+    }
+
+    /// Columns, factors and (where there are) standard errors of a held row, counted from the first held.
+    pub fn row(&self, row: usize) -> (&[u32], &[f64], Option<&[f64]>) {
+        let range = self.start[row]..self.start[row + 1];
+        let errors = (!self.errors.is_empty()).then(|| &self.errors[range.clone()]);
+        (&self.columns[range.clone()], &self.values[range], errors)
+    }
+
+    /// The share of what leaves all held nodes that `of` them (escaped or absorbed) take, and the objects that
+    /// lose most: name and share of what leaves the object, largest loss first.
+    pub fn loss(&self, of: &[f64]) -> (f64, Vec<(String, f64)>) {
+        let (mut lost, mut area) = (vec![0.0; self.names.len()], vec![0.0; self.names.len()]);
+        for (share, node) in of.iter().zip(self.rows.clone()) {
+            lost[self.object[node] as usize] += share * self.areas[node];
+            area[self.object[node] as usize] += self.areas[node];
+        }
+        let mut order: Vec<usize> = (0..lost.len()).filter(|k| lost[*k] > 0.0).collect();
+        order.sort_by(|a, b| lost[*b].total_cmp(&lost[*a]));
+        let (all, whole): (f64, f64) = (lost.iter().sum(), area.iter().sum());
+        let share = if whole > 0.0 { all / whole } else { 0.0 };
+        (share, order.iter().map(|k| (self.names[*k].clone(), lost[*k] / area[*k])).collect())
+    }
+}
+
+/// Names of the sides of objects, and the one that each element is on.
+pub(super) struct ObjectSides {
+    pub names: Vec<String>,
+    pub of_element: Vec<u32>,
+}
+
+/// Fronts of all objects, then, where any back has elements, backs of all objects.
+pub(super) fn sides(scene: &Scene, mesh: &Mesh) -> ObjectSides {
+    let n = scene.objects.len() as u32;
+    let (mut names, mut backs) = (scene.objects.clone(), false);
+    let of_element = (0..mesh.len() as u32)
+        .map(|e| {
+            let (face, front, _) = mesh.place(e);
+            backs |= !front;
+            scene.faces[face as usize].object + if front { 0 } else { n }
+        })
+        .collect();
+    if backs {
+        names.extend(scene.objects.iter().map(|name| format!("{name}:back")));
+    }
+    ObjectSides { names, of_element }
+}
+
+fn emissivity(scene: &Scene, face: u32) -> f64 {
+    let material = scene.material(&scene.faces[face as usize]);
+    (1.0 - color::mean(material.diffuse + material.diffuse_transmission)).clamp(0.0, 1.0)
+}
