@@ -1,5 +1,6 @@
 //! Form factors between elements, ordinary and extended.
 
+pub mod analytic;
 mod file;
 mod matrix;
 mod raycast;
