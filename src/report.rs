@@ -1,7 +1,8 @@
 //! What a run did, as data: the `--report` file (DESIGN section 6).
 
 use crate::color::Rgb;
-use crate::form_factor::ExchangeMatrix;
+use crate::form_factor::Factors;
+use crate::form_factor::pairs::PairCounts;
 use crate::mesh::Mesh;
 use crate::output::write_whole;
 use crate::pipeline::{Pass1, Pass1Result, Residuals, Stage};
@@ -109,18 +110,34 @@ pub struct FactorReport {
     pub closure: f64,
     /// Departure from reciprocity between objects.
     pub reciprocity: f64,
+    /// How pairs of elements were found, where the factors were found pair by pair.
+    pub pairs: Option<PairCounts>,
+    /// Largest relative standard error of a factor above the floor, where an error was asked for.
+    pub largest_relative_error: Option<f64>,
 }
 
 impl FactorReport {
-    /// Collects the numbers of a matrix of ordinary form factors.
-    pub fn new(scene: &Scene, mesh: &Mesh, matrix: &ExchangeMatrix) -> FactorReport {
-        FactorReport {
-            rays_per_element: matrix.rays_per_row,
-            stored_factors: matrix.stored(),
-            matrix_bytes: matrix.bytes(),
-            closure: matrix.closure_residual(|_| Rgb::ZERO),
-            reciprocity: matrix.reciprocity_residual(scene, mesh),
+    /// Collects the numbers of ordinary form factors.
+    pub fn new(scene: &Scene, mesh: &Mesh, factors: &Factors) -> FactorReport {
+        let rows = factors.rows.as_ref();
+        let mut report = FactorReport {
+            rays_per_element: rows.map_or(0, |r| r.rays_per_row),
+            stored_factors: rows.map_or(0, |r| r.stored()),
+            matrix_bytes: rows.map_or(0, |r| r.bytes()),
+            closure: 0.0,
+            reciprocity: 0.0,
+            pairs: factors.pairs.as_ref().map(|p| p.counts),
+            largest_relative_error: factors.achieved,
+        };
+        if let Some(pairs) = &factors.pairs {
+            report.stored_factors = pairs.stored();
+            report.matrix_bytes += pairs.bytes();
+            report.closure = pairs.closure_residual(rows);
+        } else if let Some(rows) = rows {
+            report.closure = rows.closure_residual(|_| Rgb::ZERO);
+            report.reciprocity = rows.reciprocity_residual(scene, mesh);
         }
+        report
     }
 }
 

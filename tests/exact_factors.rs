@@ -19,7 +19,9 @@ fn oracle_pairs() {
         match e["kind"].as_str().unwrap_or_default() {
             "polygon_polygon" => {
                 let (p, q) = (polygon(&e["poly1"]), polygon(&e["poly2"]));
-                if p.len() > 4 || q.len() > 4 { continue; }
+                if p.len() > 4 || q.len() > 4 {
+                    continue;
+                }
                 let (p, q) = (poly(&p), poly(&q));
                 let want = e["F12"].as_f64().expect("factor");
                 let start = std::time::Instant::now();
@@ -31,7 +33,8 @@ fn oracle_pairs() {
             }
             "point_polygon" => {
                 let v = |k: &str| DVec3::from_slice(&numbers(&e["params"][k]));
-                let got = differential(v("point"), v("normal").normalize(), &poly(&polygon(&e["params"]["poly"])));
+                let got =
+                    differential(v("point"), v("normal").normalize(), &poly(&polygon(&e["params"]["poly"])));
                 eprintln!("{} {}", e["id"], got / e["F12"].as_f64().expect("factor") - 1.0);
             }
             _ => {}

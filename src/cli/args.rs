@@ -115,6 +115,12 @@ pub struct FormFactorArgs {
     /// How factors are found.
     #[arg(long, value_enum, default_value_t = FactorMethodArg::Ray)]
     pub method: FactorMethodArg,
+    /// Add rays until the standard error of every factor above the floor is at most this share of it.
+    #[arg(long, value_name = "E", value_parser = share)]
+    pub error: Option<f64>,
+    /// Smallest factor that --error is for.
+    #[arg(long, value_name = "F", default_value_t = 1e-3, value_parser = share)]
+    pub floor: f64,
     /// One row and column for each object (`o`/`g` name) instead of each element.
     #[arg(long)]
     pub by_object: bool,
@@ -172,8 +178,11 @@ pub enum EstimatorArg {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum FactorMethodArg {
-    /// Ray-cast hemisphere sampling.
+    /// Ray casting: hemisphere rays, and where the elements are few enough for the rays, pair by pair the exact
+    /// unoccluded factor times the visible fraction.
     Ray,
+    /// Exact factors, as if nothing were between two elements: occlusion is ignored.
+    Analytic,
 }
 
 /// More threads than any machine has; far more would exhaust it.
@@ -190,6 +199,13 @@ fn count(s: &str) -> Result<u32, String> {
     match s.parse::<u32>() {
         Ok(n) if n > 0 && n <= 1 << 30 => Ok(n),
         _ => Err("must be a whole number from 1 to 1073741824".into()),
+    }
+}
+
+fn share(s: &str) -> Result<f64, String> {
+    match s.parse::<f64>() {
+        Ok(l) if l > 0.0 && l < 1.0 => Ok(l),
+        _ => Err("must be a number between 0 and 1".into()),
     }
 }
 

@@ -5,7 +5,7 @@ use super::check_outputs;
 use super::progress::Progress;
 use super::render::pass1;
 use crate::embree::Device;
-use crate::form_factor::{Casting, ObjectTable, cast};
+use crate::form_factor::{Factors, Request, estimate, unoccluded};
 use crate::mesh::{Mesh, Sides, default_element_size};
 use crate::output::write_whole;
 use crate::pipeline::{self, Event, Stage};
@@ -16,11 +16,7 @@ use crate::{Error, Result};
 use std::io::Write;
 use std::time::Instant;
 
-/// Independent randomisations: enough that four standard errors hold almost always (15 degrees of freedom).
-const BATCHES: u32 = 16;
-
 pub fn run(args: &FormFactorArgs) -> Result<()> {
-    let FactorMethodArg::Ray = args.method;
     let to_stdout = args.output.as_os_str() == "-";
     let extension = args.output.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     match (to_stdout, extension.as_str(), args.by_object) {
@@ -48,32 +44,44 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
     let device = Device::new(rayon::current_num_threads())?;
     let visibility =
         pipeline::stage("build", 0, observer, &mut stages, || (Visibility::new(&device, &scene), 0))?;
-    let size = settings.element_size.unwrap_or_else(|| default_element_size(&scene));
+    let asked = settings.element_size;
     let start = Instant::now();
-    let mesh = Mesh::new(&scene, &Sides::fronts(&scene), size, true)?;
-    let matrix = pipeline::stage("form-factors", mesh.len() as u64, observer, &mut stages, || {
-        let casting = Casting {
-            rays: settings.rays,
-            batches: BATCHES,
-            seed: settings.seed,
-            specular: false,
-            reached: None,
-            emitters: None,
-            progress: &|n| progress.tell(Event::Advance(n)),
+    let fronts = Sides::fronts(&scene);
+    let elements = |size: f64| Mesh::new(&scene, &fronts, size, true);
+    // Factors between objects do not depend on elements: whole faces are exact and few.
+    let whole = args.by_object && asked.is_none() && args.method == FactorMethodArg::Analytic;
+    let mesh = elements(asked.unwrap_or(if whole { f64::MAX } else { default_element_size(&scene) }))?;
+    let advance = |n| progress.tell(Event::Advance(n));
+    let factors = pipeline::stage("form-factors", mesh.len() as u64, observer, &mut stages, || {
+        let factors = match args.method {
+            FactorMethodArg::Ray => {
+                let request = Request {
+                    rays: settings.rays,
+                    error: args.error,
+                    floor: args.floor,
+                    by_object: args.by_object,
+                    seed: settings.seed,
+                    progress: &advance,
+                };
+                Ok(estimate(&visibility, &mesh, &request))
+            }
+            FactorMethodArg::Analytic => unoccluded(&visibility, &mesh, settings.seed, &advance),
         };
-        let (matrix, _) = cast(&visibility, &mesh, &casting);
-        let rays = matrix.rays;
-        (matrix, rays)
-    });
+        let rays = factors.as_ref().map_or(0, |f| f.rays);
+        (factors, rays)
+    })?;
     let seconds = start.elapsed().as_secs_f64();
+    let mut warnings = scene.warnings.clone();
+    warnings.extend(factors.warnings(&scene, args.error));
+    warnings[scene.warnings.len()..].iter().for_each(|w| progress.warn(w));
+    factors.lines(args.floor).iter().for_each(|l| progress.line(l));
     pipeline::stage("write", 0, observer, &mut stages, || {
-        (write(args, to_stdout, &scene, &mesh, &matrix, seconds), 0)
+        (write(args, to_stdout, &scene, &mesh, &factors, seconds), 0)
     })?;
     if let Some(path) = &args.report {
-        let mut report =
-            Report::new(&scene, Versions::new(&device), args.common.seed, stages, scene.warnings.clone());
+        let mut report = Report::new(&scene, Versions::new(&device), args.common.seed, stages, warnings);
         report.elements = mesh.len();
-        report.form_factors = Some(FactorReport::new(&scene, &mesh, &matrix));
+        report.form_factors = Some(FactorReport::new(&scene, &mesh, &factors));
         report.write(path)?;
     }
     Ok(())
@@ -84,13 +92,13 @@ fn write(
     to_stdout: bool,
     scene: &crate::scene::Scene,
     mesh: &Mesh,
-    matrix: &crate::form_factor::ExchangeMatrix,
+    factors: &Factors,
     seconds: f64,
 ) -> Result<()> {
     if !args.by_object {
-        return write_whole(&args.output, &matrix.to_npz()?);
+        return write_whole(&args.output, &factors.to_npz()?);
     }
-    let table = ObjectTable::new(scene, mesh, matrix, seconds);
+    let table = factors.table(scene, mesh, seconds);
     let text = serde_json::to_string(&table).map_err(|e| Error::parse(&args.output, None, e.to_string()))?;
     if to_stdout {
         // A closed pipe is the reader's choice, but it must not look like success.

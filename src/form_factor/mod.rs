@@ -1,13 +1,18 @@
 //! Form factors between elements, ordinary and extended.
 
 pub mod analytic;
+mod estimate;
+mod factors;
 mod file;
 mod matrix;
+pub mod pairs;
 mod raycast;
 mod source;
 mod specular;
 mod table;
 
+pub use estimate::{MOST_RAYS, Request, by_pairs, estimate, unoccluded};
+pub use factors::Factors;
 pub use matrix::{ExchangeMatrix, RowSummary};
 pub use raycast::{Casting, EmitterIrradiance, EmitterWork, cast};
 pub use source::time_embree;

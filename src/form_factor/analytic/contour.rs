@@ -162,7 +162,8 @@ impl EdgePair {
             let t = ((e - b * d) / det).clamp(0.0, self.other);
             consider(b * t - d, t);
         }
-        for (s, t) in [(0.0, e), (self.length, b * self.length + e), (-d, 0.0), (b * self.other - d, self.other)]
+        for (s, t) in
+            [(0.0, e), (self.length, b * self.length + e), (-d, 0.0), (b * self.other - d, self.other)]
         {
             consider(s, t);
         }

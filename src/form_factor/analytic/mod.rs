@@ -32,9 +32,14 @@ pub const EXACT: f64 = 1e-11;
 /// or lie in one plane give 0.
 pub fn exchange(a: &Polygon, b: &Polygon, tolerance: f64) -> f64 {
     match facing(a, b) {
-        Some((a, b)) => clipped(&a, &b, tolerance, SPLITS),
+        Some((a, b)) => exchange_facing(&a, &b, tolerance),
         None => 0.0,
     }
+}
+
+/// [`exchange`] of polygons that lie in front of each other's planes, as [`facing`] leaves them.
+pub fn exchange_facing(a: &Polygon, b: &Polygon, tolerance: f64) -> f64 {
+    clipped(a, b, tolerance, SPLITS)
 }
 
 /// The parts of two polygons that lie in front of each other's planes.
