@@ -63,10 +63,12 @@ pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Fact
     }
     let rows = rows(request.rays);
     // Hemisphere rays spent one budget; the pairs have another one.
-    let points = request.rays / (mesh.len().max(1) as u32) / pairs::BATCHES as u32;
     let few = mesh.len() <= FEW_ELEMENTS;
+    let batches = if few { pairs::BATCHES } else { pairs::FEW_BATCHES };
+    let points = request.rays / (mesh.len().max(1) * batches) as u32;
     let mut work = PairWork {
         points: 1 << points.max(1).ilog2().min(pairs::MOST_POINTS.ilog2()),
+        batches,
         error: if request.by_object { None } else { request.error },
         floor: request.floor,
         tolerance: if few { analytic::EXACT } else { QUICK },
@@ -76,7 +78,7 @@ pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Fact
     };
     if work.error.is_some() {
         // Few points to begin with: most pairs need no more.
-        work.points = work.points.min(2);
+        work.points = work.points.min(4);
     }
     let mut rays = rows.rays;
     loop {
@@ -117,6 +119,7 @@ pub fn unoccluded(
     }
     let work = PairWork {
         points: 1,
+        batches: pairs::FEW_BATCHES,
         error: None,
         floor: 0.0,
         tolerance: analytic::EXACT,

@@ -12,6 +12,7 @@
 //! free of noise; where there are many, `f(p)` is the kernel towards one point of the other element, and a ray asks
 //! whether that is visible.
 
+mod body;
 mod rows;
 mod shadow;
 mod shaft;
@@ -23,12 +24,15 @@ use crate::mesh::Mesh;
 use crate::sampling::{seed_of, sobol};
 use crate::scene::Scene;
 use crate::visibility::Visibility;
+use body::Body;
 use rayon::prelude::*;
 use shaft::{Bounded, Shaft};
 use std::collections::BTreeSet;
 
-/// Independent randomisations of the points on each element: 15 degrees of freedom.
+/// Most independent randomisations of the points on each element: 15 degrees of freedom.
 pub const BATCHES: usize = 16;
+/// Randomisations where many elements share the work: more points in each converge faster.
+pub const FEW_BATCHES: usize = 8;
 
 /// Most faces of a scene whose shafts are searched: the search takes their number cubed.
 pub const MOST_FACES: usize = 512;
@@ -46,6 +50,8 @@ const LOOKS: usize = 1 << 21;
 pub struct PairWork<'a> {
     /// Points of each randomisation, a pair; a power of two.
     pub points: u32,
+    /// Randomisations, 2 to [`BATCHES`].
+    pub batches: usize,
     /// Points are doubled until the standard error is at most this share of the factor.
     pub error: Option<f64>,
     /// Factors below this need not meet `error`.
@@ -93,8 +99,8 @@ pub struct PairFactors {
     pub counts: PairCounts,
     /// Rays cast.
     pub rays: u64,
-    /// By object pair: exchange areas of each randomisation, and variance that their spread does not show.
-    objects: Vec<([f64; BATCHES], f64)>,
+    /// By object pair: exchange area [m^2] and its variance, summed over elements, whose points are independent.
+    objects: Vec<(f64, f64)>,
     object_count: usize,
 }
 
@@ -107,6 +113,7 @@ struct Shared<'a, 's> {
     faces: Vec<Bounded>,
     /// Faces that may come between two faces, by pair.
     between: Vec<Vec<u32>>,
+    bodies: Vec<Body>,
     eps: f64,
     objects: usize,
 }
@@ -140,7 +147,7 @@ impl PairFactors {
             error: Vec::with_capacity(n * n.saturating_sub(1) / 2),
             counts: PairCounts::default(),
             rays: 0,
-            objects: vec![([0.0; BATCHES], 0.0); m * m],
+            objects: vec![(0.0, 0.0); m * m],
             object_count: m,
         };
         for (i, row) in rows.into_iter().enumerate() {
@@ -149,12 +156,14 @@ impl PairFactors {
             all.rays += row.rays;
             all.counts.add(&row.counts);
             let a = shared.elements[i].object as usize;
-            for (b, sums, extra) in &row.objects {
-                for k in [a * m + *b as usize, *b as usize * m + a] {
-                    let (total, variance) = &mut all.objects[k];
-                    total.iter_mut().zip(sums).for_each(|(t, s)| *t += s);
-                    // Both directions of a pair within one object are the same number twice.
-                    *variance += if a == *b as usize { 2.0 * extra } else { *extra };
+            for &(b, mean, variance) in &row.objects {
+                let b = b as usize;
+                // Both directions of a pair within one object are the same number twice.
+                let (mean, variance) = if a == b { (2.0 * mean, 4.0 * variance) } else { (mean, variance) };
+                let places = [a * m + b, b * m + a];
+                for k in &places[..if a == b { 1 } else { 2 }] {
+                    all.objects[*k].0 += mean;
+                    all.objects[*k].1 += variance;
                 }
             }
         }
@@ -280,9 +289,8 @@ impl PairFactors {
 
     /// Exchange area between objects a and b [m^2] and its standard error.
     pub fn between_objects(&self, a: usize, b: usize) -> (f64, f64) {
-        let (sums, extra) = &self.objects[a * self.object_count + b];
-        let (mean, error) = super::table::mean_error(sums);
-        (mean, (error * error + extra).sqrt())
+        let (exchange, variance) = self.objects[a * self.object_count + b];
+        (exchange, variance.sqrt())
     }
 }
 
@@ -322,12 +330,14 @@ impl<'a, 's> Shared<'a, 's> {
             work,
             elements: (0..mesh.len() as u32).map(element).collect(),
             between: Vec::new(),
+            bodies: Vec::new(),
             eps,
             objects: scene.objects.len(),
             faces,
         };
         if !work.unoccluded {
             shared.between = shared.all_between();
+            shared.bodies = Body::all(scene, &shared.faces, eps);
         }
         shared
     }

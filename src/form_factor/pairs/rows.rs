@@ -1,10 +1,11 @@
 //! One element against all later ones.
 
-use super::shadow::{Pieces, Shadow, visible};
+use super::shadow::{Pieces, Seen, Shadow, visible};
 use super::shaft::{Shaft, blocks_all};
 use super::{BATCHES, MOST_POINTS, PairCounts, Shared};
 use crate::embree::ShadowPacket;
-use crate::form_factor::analytic::{Polygon, exchange_facing, facing};
+use crate::form_factor::analytic::{EXACT, Polygon, exchange_facing, facing};
+use crate::form_factor::table::mean_error;
 use crate::mesh::Mesh;
 use crate::sampling::{seed_of, sobol};
 use crate::scene::Scene;
@@ -13,8 +14,10 @@ use std::f64::consts::PI;
 
 /// Faces in a shaft beyond which rays are cheaper than shadows.
 const MOST_SHADOWS: usize = 16;
+/// Distance, in radii of the polygon, beyond which rules of second degree are within 1e-3 of Lambert's formula.
+const SMALL: f64 = 4.0;
 /// Points of a randomisation whose shadows are kept for the other pairs of the row.
-const KEPT: usize = 4;
+const KEPT: usize = 16;
 
 /// The pairs (i, j > i) of one element.
 pub(super) struct Row {
@@ -23,8 +26,8 @@ pub(super) struct Row {
     pub error: Vec<f32>,
     pub counts: PairCounts,
     pub rays: u64,
-    /// By object of j: exchange areas by randomisation, and variance beyond their spread.
-    pub objects: Vec<(u32, [f64; BATCHES], f64)>,
+    /// By object of j: exchange area [m^2] and its variance.
+    pub objects: Vec<(u32, f64, f64)>,
 }
 
 /// One point on the row's element: its place and the direction that a ray takes on the other.
@@ -38,7 +41,7 @@ struct Sample {
 /// Buffers of one thread.
 #[derive(Default)]
 pub(super) struct Scratch {
-    /// `samples[k * BATCHES + batch]`.
+    /// `samples[k * batches + batch]`.
     samples: Vec<Sample>,
     /// Shadows of a face from the first samples.
     shadows: Vec<Vec<Shadow>>,
@@ -101,8 +104,9 @@ impl Shared<'_, '_> {
             row.error.push(error as f32);
         }
         for (object, (batches, unseen)) in sums.into_iter().enumerate() {
-            if batches.iter().any(|s| *s != 0.0) || unseen > 0.0 {
-                row.objects.push((object as u32, batches, unseen));
+            let (mean, error) = mean_error(&batches[..self.work.batches]);
+            if mean > 0.0 || unseen > 0.0 {
+                row.objects.push((object as u32, mean, error * error + unseen));
             }
         }
         row
@@ -134,20 +138,25 @@ impl Shared<'_, '_> {
             add(&[1.0; BATCHES], full, 0.0);
             return full;
         }
-        if between.iter().any(|q| blocks_all(pa, pb, &self.faces[*q as usize].polygon)) {
+        if between.iter().any(|q| blocks_all(pa, pb, &self.faces[*q as usize].polygon))
+            || self.bodies.iter().any(|body| body.has_any(&between) && body.hides(pa, pb))
+        {
             row.counts.hidden += 1;
             return 0.0;
         }
         let estimate = if between.len() <= MOST_SHADOWS {
             row.counts.shadows += 1;
+            let middle = pb.middle();
+            let (radius, reach) = (pb.radius(middle), pa.middle().distance(middle) - pa.radius(pa.middle()));
+            let seen = Seen { polygon: pb, small: self.tolerance() > EXACT && reach > SMALL * radius };
             self.estimate(scratch, i, (i, j), full, |scratch, k, out| {
-                self.by_shadows(scratch, i, pb, &between, k, out);
+                self.by_shadows(scratch, i, &seen, &between, k, out);
             })
         } else {
             row.counts.rays += 1;
             let mut rays = 0;
             let estimate = self.estimate(scratch, i, (i, j), full, |scratch, k, out| {
-                rays += BATCHES as u64;
+                rays += self.work.batches as u64;
                 self.by_rays(scratch, (i, j), k, out);
             });
             row.rays += rays;
@@ -170,6 +179,7 @@ impl Shared<'_, '_> {
         mut see: impl FnMut(&mut Scratch, usize, &mut [(f64, f64); BATCHES]),
     ) -> Estimate {
         let mut sums = [(0.0, 0.0); BATCHES];
+        let batches = self.work.batches;
         let mut values = [(0.0, 0.0); BATCHES];
         let (mut done, mut goal) = (0, self.work.points.max(1) as usize);
         let largest = full / self.elements[a].area.min(self.elements[b].area);
@@ -177,17 +187,22 @@ impl Shared<'_, '_> {
             self.extend(scratch, i, goal);
             for k in done..goal {
                 see(scratch, k, &mut values);
-                for (s, v) in sums.iter_mut().zip(&values) {
+                for (s, v) in sums.iter_mut().zip(&values).take(batches) {
                     s.0 += v.0;
                     s.1 += v.1;
                 }
             }
             done = goal;
-            let mut estimate = Estimate::of(&sums, done * BATCHES);
+            let mut estimate = Estimate::of(&sums, self.work.batches, done * self.work.batches);
             let Some(asked) = self.work.error else { return estimate };
-            let deviation = estimate.variance.sqrt();
-            let enough = deviation <= asked * estimate.mean
-                || largest * (estimate.mean + 2.0 * deviation) < self.work.floor;
+            // A narrow strip that is seen (or hidden) alone can slip between all points, and then their spread is too
+            // small: n points find it within `sqrt(V) / 2 n`, and see nothing of V below `(1.5 / n)^2`.
+            let points = (done * batches) as f64;
+            let (mean, spread) = (estimate.mean, (estimate.variance - estimate.unseen).max(0.0).sqrt());
+            let strip = 0.5 / points * mean.min(1.0 - mean).sqrt();
+            let lost = (1.5 / points).powi(2);
+            let enough = mean > 0.0 && spread.max(strip) <= asked * mean
+                || largest * (mean + 2.0 * spread + lost) < self.work.floor;
             if enough || done >= MOST_POINTS as usize {
                 estimate.missed = !enough;
                 return estimate;
@@ -199,8 +214,8 @@ impl Shared<'_, '_> {
     /// Makes sure that the first `count` points of each randomisation exist.
     fn extend(&self, scratch: &mut Scratch, i: usize, count: usize) {
         let scene = self.visibility.scene();
-        for k in scratch.samples.len() / BATCHES..count {
-            for batch in 0..BATCHES {
+        for k in scratch.samples.len() / self.work.batches..count {
+            for batch in 0..self.work.batches {
                 let x = sobol(k as u32, 0, seed_of(&[self.work.seed, i as u32, batch as u32, 0x7061]));
                 let point = point_on(scene, self.mesh, i as u32, x[0], x[1]);
                 scratch.samples.push(Sample { point, other: [x[2], x[3]] });
@@ -213,32 +228,31 @@ impl Shared<'_, '_> {
         &self,
         scratch: &mut Scratch,
         i: usize,
-        b: &Polygon,
+        seen: &Seen,
         between: &[u32],
         k: usize,
         out: &mut [(f64, f64); BATCHES],
     ) {
         let Scratch { samples, shadows, fresh, pieces, .. } = scratch;
-        let normal = self.elements[i].polygon.normal;
+        let (normal, batches) = (self.elements[i].polygon.normal, self.work.batches);
         if k < KEPT {
             for q in between {
-                let kept = &mut shadows[*q as usize];
-                for s in &samples[kept.len()..(k + 1) * BATCHES] {
-                    kept.push(Shadow::new(s.point, &self.faces[*q as usize].polygon));
-                }
+                let (kept, face) = (&mut shadows[*q as usize], &self.faces[*q as usize].polygon);
+                let new = samples[..(k + 1) * batches].iter().skip(kept.len());
+                kept.extend(new.map(|s| Shadow::new(s.point, face)));
             }
         }
-        for (batch, out) in out.iter_mut().enumerate() {
-            let at = k * BATCHES + batch;
+        for (batch, out) in out.iter_mut().enumerate().take(batches) {
+            let at = k * batches + batch;
             let point = samples[at].point;
-            *out = if (point - b.corners()[0]).dot(b.normal) <= 0.0 {
+            *out = if (point - seen.polygon.corners()[0]).dot(seen.polygon.normal) <= 0.0 {
                 (0.0, 0.0)
             } else if k < KEPT {
-                visible(point, normal, b, between.iter().map(|q| &shadows[*q as usize][at]), pieces)
+                visible(point, normal, seen, between.iter().map(|q| &shadows[*q as usize][at]), pieces)
             } else {
                 fresh.clear();
                 fresh.extend(between.iter().map(|q| Shadow::new(point, &self.faces[*q as usize].polygon)));
-                visible(point, normal, b, fresh.iter(), pieces)
+                visible(point, normal, seen, fresh.iter(), pieces)
             };
         }
     }
@@ -254,8 +268,8 @@ impl Shared<'_, '_> {
         let scene = self.visibility.scene();
         let (na, nb) = (self.elements[i].polygon.normal, self.elements[j].polygon.normal);
         scratch.packet.clear();
-        for (batch, out) in out.iter_mut().enumerate() {
-            let Sample { point, other } = scratch.samples[k * BATCHES + batch];
+        for (batch, out) in out.iter_mut().enumerate().take(self.work.batches) {
+            let Sample { point, other } = scratch.samples[k * self.work.batches + batch];
             let target = point_on(scene, self.mesh, j as u32, other[0], other[1]);
             let d = target - point;
             let (cos, cos_there, r2) = (d.dot(na), -d.dot(nb), d.length_squared());
@@ -289,7 +303,7 @@ pub(super) fn point_on(scene: &Scene, mesh: &Mesh, element: u32, s: f64, t: f64)
 }
 
 impl Estimate {
-    fn of(sums: &[(f64, f64); BATCHES], points: usize) -> Estimate {
+    fn of(sums: &[(f64, f64); BATCHES], batches: usize, points: usize) -> Estimate {
         let (seen, whole) = sums.iter().fold((0.0, 0.0), |s, v| (s.0 + v.0, s.1 + v.1));
         if whole == 0.0 {
             // Every point lies behind the other element: nothing is known but that it is small.
@@ -303,9 +317,9 @@ impl Estimate {
             };
         }
         let mean = seen / whole;
-        let scale = BATCHES as f64 / whole;
+        let scale = batches as f64 / whole;
         let fractions = sums.map(|(f, f0)| mean + (f - mean * f0) * scale);
-        let (_, error) = crate::form_factor::table::mean_error(&fractions);
+        let (_, error) = mean_error(&fractions[..batches]);
         // All points alike: what n points all missed covers less than 3/n of the element (95 %), and hides or shows
         // a third of it on average, since it starts from nothing.
         let unseen = if seen == 0.0 || seen == whole { (0.5 / points as f64).powi(2) } else { 0.0 };

@@ -2,6 +2,7 @@
 
 use crate::form_factor::analytic::{Cut, Polygon, lambert};
 use glam::DVec3;
+use std::f64::consts::PI;
 
 /// The shadow of a face, seen from a point: the cone of the face's edges, beyond its plane.
 #[derive(Debug, Clone, Copy)]
@@ -85,37 +86,71 @@ impl Shadow {
 #[derive(Default)]
 pub struct Pieces(Vec<Polygon>, Vec<Polygon>);
 
-/// Form factor from a differential area to what it sees of a polygon, and to the whole polygon, which lies above its horizon
-/// and faces it; `shadows` are those of the faces that may come between.
+/// A polygon that points look at.
+pub struct Seen<'a> {
+    /// The polygon, in front of the points' horizon.
+    pub polygon: &'a Polygon,
+    /// It is small for its distance: rules of second degree (4 or 3 points) take the place of Lambert's formula.
+    pub small: bool,
+}
+
+impl Seen<'_> {
+    /// Form factor from a differential area to a part of the polygon.
+    #[inline]
+    fn factor(&self, viewer: DVec3, normal: DVec3, part: &Polygon) -> f64 {
+        if !self.small {
+            return lambert(viewer, normal, part);
+        }
+        // Edge midpoints of a fan of triangles: exact for kernels of second degree.
+        let c = part.corners();
+        let kernel = |p: DVec3| {
+            let d = p - viewer;
+            let r2 = d.length_squared();
+            -d.dot(normal) * d.dot(part.normal) / (r2 * r2)
+        };
+        let mut sum = 0.0;
+        let mut along = kernel(0.5 * (c[0] + c[1]));
+        for k in 1..c.len() - 1 {
+            let next = kernel(0.5 * (c[0] + c[k + 1]));
+            let area = (c[k] - c[0]).cross(c[k + 1] - c[0]).dot(part.normal);
+            sum += area * (along + next + kernel(0.5 * (c[k] + c[k + 1])));
+            along = next;
+        }
+        sum / (6.0 * PI)
+    }
+}
+
+/// Form factor from a differential area to what it sees of a polygon, and to the whole polygon, which faces
+/// it; `shadows` are those of the faces that may come between.
 pub fn visible<'a>(
     viewer: DVec3,
     normal: DVec3,
-    polygon: &Polygon,
+    seen: &Seen,
     shadows: impl Iterator<Item = &'a Shadow>,
     pieces: &mut Pieces,
 ) -> (f64, f64) {
-    let whole = lambert(viewer, normal, polygon);
+    let whole = seen.factor(viewer, normal, seen.polygon);
     let Pieces(lit, next) = pieces;
     lit.clear();
-    lit.push(*polygon);
-    let mut cut = false;
     for shadow in shadows {
-        match shadow.leaves(viewer, polygon) {
+        match shadow.leaves(viewer, seen.polygon) {
             Some(1.0) => continue,
             Some(_) => return (0.0, whole),
             None => {}
         }
+        if lit.is_empty() {
+            lit.push(*seen.polygon);
+        }
         next.clear();
         lit.iter().for_each(|p| shadow.cut(viewer, p, next));
-        cut = true;
         std::mem::swap(lit, next);
         if lit.is_empty() {
             return (0.0, whole);
         }
     }
-    if !cut {
+    if lit.is_empty() {
         return (whole, whole);
     }
-    let seen: f64 = lit.iter().map(|p| lambert(viewer, normal, p)).sum();
-    (seen.clamp(0.0, whole), whole)
+    let part: f64 = lit.iter().map(|p| seen.factor(viewer, normal, p)).sum();
+    (part.clamp(0.0, whole), whole)
 }
