@@ -78,7 +78,7 @@ pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Fact
     };
     if work.error.is_some() {
         // Few points to begin with: most pairs need no more.
-        work.points = work.points.min(4);
+        work.points = 4;
     }
     let mut rays = rows.rays;
     loop {
