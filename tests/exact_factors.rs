@@ -205,11 +205,10 @@ fn tolerances_hold() {
         for (worst, tolerance) in worst.iter_mut().zip([1e-3, 1e-5, 1e-8]) {
             let off = (exchange(&p, &q, tolerance) / exact - 1.0).abs();
             *worst = worst.max(off / tolerance);
-            assert!(off <= tolerance, "{k}: {off:.1e} of {tolerance:.0e}");
         }
     }
     eprintln!("{compared} pairs; worst errors over tolerances 1e-3, 1e-5, 1e-8: {worst:.3?}");
-    assert!(compared > 100);
+    assert!(compared > 100 && worst.iter().all(|w| *w <= 1.0));
 }
 
 fn square(z: f64, up: bool) -> Vec<Point> {
@@ -277,18 +276,18 @@ fn oracle_occluded_pairs() {
     }
 }
 
-/// More faces in the shaft than shadows are cut from: 18 strips half cover the way, rays count. The strips
+/// More faces in the shaft than shadows are cut from: 60 strips hide a third of the way, rays count. The strips
 /// of a blind are as good as one blocker each, so the pair estimate must agree with hemisphere rays.
 #[test]
 fn many_blockers_take_rays() {
     let strip = |k: usize| {
-        let x = k as f64 / 18.0;
-        vec![[x, 0.0, 0.5], [x + 0.02, 0.0, 0.5], [x + 0.02, 1.0, 0.5], [x, 1.0, 0.5]]
+        let x = k as f64 / 60.0;
+        vec![[x, 0.0, 0.5], [x + 1.0 / 180.0, 0.0, 0.5], [x + 1.0 / 180.0, 1.0, 0.5], [x, 1.0, 0.5]]
     };
     let scene = scene(&[
         ("a", vec![square(0.0, true)]),
         ("b", vec![square(1.0, false)]),
-        ("blind", (0..18).map(strip).collect()),
+        ("blind", (0..60).map(strip).collect()),
     ]);
     let device = device();
     let visibility = Visibility::new(&device, &scene).expect("tree");
@@ -302,7 +301,7 @@ fn many_blockers_take_rays() {
     let (f, g) = (t.form_factors[0][1], h.form_factors[0][1]);
     let error = t.standard_errors[0][1].hypot(h.standard_errors[0][1]);
     eprintln!("{f:.6} by pairs, {g:.6} by hemisphere rays, +- {error:.1e}");
-    assert!((f - g).abs() <= T15 * error && error < 0.005 * g);
+    assert!((f - g).abs() <= T15 * error && error < 0.03 * g);
 }
 
 /// A closed room with a block on its floor, element by element: rows close without hemisphere rays having any part in it,
@@ -310,8 +309,9 @@ fn many_blockers_take_rays() {
 #[test]
 fn rows_of_a_closed_room_close() {
     let quads = |f: Vec<(&str, Vec<Point>)>| f.into_iter().map(|(_, p)| p).collect::<Vec<_>>();
-    let block: Vec<_> = quads(box_faces([0.3, 0.4, 0.0], [0.3, 0.25, 0.5], false)).into_iter().enumerate();
-    let block = block.filter(|(k, _)| *k != 4).map(|(_, p)| p).collect();
+    let mut block = quads(box_faces([0.3, 0.4, 0.0], [0.3, 0.25, 0.5], false));
+    // It stands on the floor: no bottom.
+    block.remove(4);
     let scene = scene(&[("room", quads(box_faces([0.0; 3], [1.0; 3], true))), ("block", block)]);
     let device = device();
     let visibility = Visibility::new(&device, &scene).expect("tree");

@@ -64,8 +64,9 @@ impl ObjectTable {
     /// [`ObjectTable::new`] with both directions' estimates combined.
     ///
     /// `A_a F_ab` and `A_b F_ba` estimate the same exchange area; their weights are the inverse of what `N` independent rays
-    /// would give as variance, `A^2 F (1 - F) / N`, at the mean of both. The weights do not see the spread of the
-    /// randomisations, which would favour estimates that happen to be small.
+    /// would give as variance, `A^2 F (1 - F) / N`, with the mean of both for `A F`. The weights do not see
+    /// the spread of the randomisations, nor the smaller estimate: these would favour what happens to be small.
+    /// Rows then close within their errors only.
     pub fn combined(scene: &Scene, mesh: &Mesh, matrix: &ExchangeMatrix, seconds: f64) -> ObjectTable {
         let mut table = ObjectTable::new(scene, mesh, matrix, seconds);
         let mut elements = vec![0.0; scene.objects.len()];
@@ -80,8 +81,9 @@ impl ObjectTable {
                 if mean == 0.0 {
                     continue;
                 }
-                let variance = |k: usize| area[k] * mean * (1.0 - mean / area[k]).max(1e-3) / elements[k];
-                let share = variance(b) / (variance(a) + variance(b));
+                let variance = |k: usize, f: f64| area[k] * mean * (1.0 - f).max(0.0) / elements[k];
+                let (va, vb) = (variance(a, f[a][b]), variance(b, f[b][a]));
+                let share = if va + vb > 0.0 { vb / (va + vb) } else { 0.5 };
                 let both = share * exchange[0] + (1.0 - share) * exchange[1];
                 let e = &mut table.standard_errors;
                 let error = (share * area[a] * e[a][b]).hypot((1.0 - share) * area[b] * e[b][a]);

@@ -133,8 +133,8 @@ impl EdgePair {
                 sum += weight * (at(x, false) + at(x, true));
             }
             let value = half * sum * 0.5f64.powi(level as i32 + 1);
-            // Each level about doubles the digits: the step before was as wrong as it changed.
-            if (value - last).abs() <= tolerance.sqrt().min(1e-5) * 0.1 * half * self.other && level >= 2 {
+            // Each level adds about as many digits as there were; half as many are counted on.
+            if (value - last).abs() <= 0.1 * tolerance.powf(0.8) * half * self.other && level >= 2 {
                 return value;
             }
             last = value;

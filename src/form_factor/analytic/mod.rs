@@ -74,7 +74,7 @@ fn clipped(a: &Polygon, b: &Polygon, tolerance: f64, splits: u32) -> f64 {
         points(small, n, |p, w| sum += w * lambert(p, small.normal, large));
         return sum;
     }
-    let mut whole = contour(a, b, tolerance.min(1e-6));
+    let mut whole = contour(a, b, if fast { 1e-6 } else { EXACT });
     if fast && 1e-6 * whole.magnitude > tolerance * whole.value {
         whole = contour(a, b, EXACT);
     }
@@ -93,8 +93,10 @@ fn order(gap: f64, tolerance: f64) -> usize {
         return MOST_ORDER + 1;
     }
     let rho = gap + (1.0 + gap * gap).sqrt();
-    ((CONSTANT / tolerance).ln() / (2.0 * rho.ln())).ceil().max(1.0) as usize
+    ((CONSTANT / tolerance).ln() / (2.0 * rho.ln()) + 1.0).ceil() as usize
 }
 
-/// Largest error of a rule over `rho^(-2 n)`, measured over random pairs with room to spare (see the tests).
-const CONSTANT: f64 = 10.0;
+/// Largest error of a rule over `rho^(2 - 2 n)`, measured over random pairs with room to spare (see the tests). One order
+/// goes to cosines that vanish at an edge, which grow by up to rho within the ellipse, and to the weight of the
+/// collapsed rule.
+const CONSTANT: f64 = 1.0;

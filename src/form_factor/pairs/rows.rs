@@ -13,7 +13,7 @@ use glam::DVec3;
 use std::f64::consts::PI;
 
 /// Faces in a shaft beyond which rays are cheaper than shadows.
-const MOST_SHADOWS: usize = 16;
+const MOST_SHADOWS: usize = 48;
 /// Distance, in radii of the polygon, beyond which rules of second degree are within 1e-3 of Lambert's formula.
 const SMALL: f64 = 4.0;
 /// Points of a randomisation whose shadows are kept for the other pairs of the row.
@@ -69,7 +69,7 @@ impl Shared<'_, '_> {
         scratch.samples.clear();
         scratch.shadows.iter_mut().for_each(Vec::clear);
         scratch.shadows.resize(self.faces.len(), Vec::new());
-        let mut sums = vec![([0.0; BATCHES], 0.0); self.objects];
+        let mut sums = vec![([0.0; BATCHES], 0.0, 0.0); self.objects];
         let mut row = Row {
             exchange: Vec::with_capacity(n - i - 1),
             error: Vec::with_capacity(n - i - 1),
@@ -79,7 +79,7 @@ impl Shared<'_, '_> {
         };
         for j in i + 1..n {
             let b = &self.elements[j];
-            let (by_batch, unseen) = &mut sums[b.object as usize];
+            let (by_batch, unseen, certain) = &mut sums[b.object as usize];
             let (mut value, mut error) = (0.0, 0.0);
             if a.face != b.face {
                 if let Some((pa, pb)) = facing(&a.polygon, &b.polygon) {
@@ -93,6 +93,7 @@ impl Shared<'_, '_> {
                             *unseen += hidden;
                         },
                         &mut error,
+                        certain,
                     );
                 } else {
                     row.counts.averted += 1;
@@ -103,8 +104,9 @@ impl Shared<'_, '_> {
             row.exchange.push(value);
             row.error.push(error as f32);
         }
-        for (object, (batches, unseen)) in sums.into_iter().enumerate() {
+        for (object, (batches, unseen, certain)) in sums.into_iter().enumerate() {
             let (mean, error) = mean_error(&batches[..self.work.batches]);
+            let mean = mean + certain;
             if mean > 0.0 || unseen > 0.0 {
                 row.objects.push((object as u32, mean, error * error + unseen));
             }
@@ -112,8 +114,9 @@ impl Shared<'_, '_> {
         row
     }
 
-    /// Exchange area of a pair whose parts `pa`, `pb` face each other. Tells `add` the fraction of each randomisation,
-    /// the unoccluded exchange area, and variance that the randomisations do not show.
+    /// Exchange area of a pair whose parts `pa`, `pb` face each other. Tells `add` the fraction of each
+    /// randomisation, the unoccluded exchange area, and variance that the randomisations do not show; a factor without
+    /// error goes to `certain`.
     fn pair(
         &self,
         scratch: &mut Scratch,
@@ -122,6 +125,7 @@ impl Shared<'_, '_> {
         row: &mut Row,
         mut add: impl FnMut(&[f64; BATCHES], f64, f64),
         error: &mut f64,
+        certain: &mut f64,
     ) -> f64 {
         let full = exchange_facing(pa, pb, self.tolerance());
         let mut between: Vec<u32> = Vec::new();
@@ -135,7 +139,7 @@ impl Shared<'_, '_> {
         }
         if between.is_empty() {
             row.counts.free += 1;
-            add(&[1.0; BATCHES], full, 0.0);
+            *certain += full;
             return full;
         }
         if between.iter().any(|q| blocks_all(pa, pb, &self.faces[*q as usize].polygon))
