@@ -1,7 +1,7 @@
 //! What a run did, as data: the `--report` file (DESIGN section 6).
 
 use crate::color::Rgb;
-use crate::form_factor::Factors;
+use crate::form_factor::Found;
 use crate::form_factor::pairs::PairCounts;
 use crate::mesh::Mesh;
 use crate::output::write_whole;
@@ -118,7 +118,7 @@ pub struct FactorReport {
 
 impl FactorReport {
     /// Collects the numbers of ordinary form factors.
-    pub fn new(scene: &Scene, mesh: &Mesh, factors: &Factors) -> FactorReport {
+    pub fn new(scene: &Scene, mesh: &Mesh, factors: &Found) -> FactorReport {
         let rows = factors.rows.as_ref();
         let mut report = FactorReport {
             rays_per_element: rows.map_or(0, |r| r.rays_per_row),

@@ -116,10 +116,10 @@ pub struct FormFactorArgs {
     #[arg(long, value_enum, default_value_t = FactorMethodArg::Ray)]
     pub method: FactorMethodArg,
     /// Add rays until the standard error of every factor above the floor is at most this share of it.
-    #[arg(long, value_name = "E", value_parser = share)]
+    #[arg(long, value_name = "E", value_parser = share, allow_negative_numbers = true)]
     pub error: Option<f64>,
     /// Smallest factor that --error is for.
-    #[arg(long, value_name = "F", default_value_t = 1e-3, value_parser = share)]
+    #[arg(long, value_name = "F", default_value_t = 1e-3, value_parser = share, allow_negative_numbers = true)]
     pub floor: f64,
     /// One row and column for each object (`o`/`g` name) instead of each element.
     #[arg(long)]

@@ -5,7 +5,7 @@ use super::check_outputs;
 use super::progress::Progress;
 use super::render::pass1;
 use crate::embree::Device;
-use crate::form_factor::{Factors, Request, estimate, unoccluded};
+use crate::form_factor::{Found, Request, estimate, unoccluded};
 use crate::mesh::{Mesh, Sides, default_element_size};
 use crate::output::write_whole;
 use crate::pipeline::{self, Event, Stage};
@@ -92,7 +92,7 @@ fn write(
     to_stdout: bool,
     scene: &crate::scene::Scene,
     mesh: &Mesh,
-    factors: &Factors,
+    factors: &Found,
     seconds: f64,
 ) -> Result<()> {
     if !args.by_object {

@@ -1,6 +1,6 @@
 //! Which estimator answers a request for form factors, and how much work it takes.
 
-use super::factors::Factors;
+use super::found::Found;
 use super::pairs::{self, PairFactors, PairWork};
 use super::{Casting, ExchangeMatrix, ObjectTable, analytic, cast};
 use crate::mesh::Mesh;
@@ -44,7 +44,7 @@ pub fn by_pairs(elements: usize, faces: usize, request: &Request) -> bool {
 }
 
 /// Finds the factors between the elements of a mesh.
-pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Factors {
+pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Found {
     let scene = visibility.scene();
     let rows = |rays: u32| {
         let casting = Casting {
@@ -91,10 +91,10 @@ pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Fact
             false => found.largest_error(request.floor),
         });
         let (Some(asked), Some(reached)) = (request.error, achieved) else {
-            return Factors { rows: Some(rows), pairs: Some(found), achieved, rays, blocked: Vec::new() };
+            return Found { rows: Some(rows), pairs: Some(found), achieved, rays, blocked: Vec::new() };
         };
         if reached <= asked || !request.by_object || work.points >= pairs::MOST_POINTS {
-            return Factors { rows: Some(rows), pairs: Some(found), achieved, rays, blocked: Vec::new() };
+            return Found { rows: Some(rows), pairs: Some(found), achieved, rays, blocked: Vec::new() };
         }
         work.points = more(work.points, reached / asked, pairs::MOST_POINTS);
     }
@@ -109,7 +109,7 @@ pub fn unoccluded(
     mesh: &Mesh,
     seed: u32,
     progress: &(dyn Fn(u64) + Sync),
-) -> Result<Factors> {
+) -> Result<Found> {
     if mesh.len() > pairs::MOST_ELEMENTS {
         return Err(Error::Usage(format!(
             "{} elements: exact factors of at most {} are held; choose a larger --element-size",
@@ -129,7 +129,7 @@ pub fn unoccluded(
     };
     let found = PairFactors::new(visibility, mesh, &work);
     let (blocked, rays) = found.blocked_objects(visibility, mesh, seed);
-    Ok(Factors { rows: None, pairs: Some(found), achieved: None, rays, blocked })
+    Ok(Found { rows: None, pairs: Some(found), achieved: None, rays, blocked })
 }
 
 /// Hemisphere rays alone, more of them until they meet an asked error.
@@ -138,7 +138,7 @@ fn by_rows(
     mesh: &Mesh,
     request: &Request,
     rows: impl Fn(u32) -> ExchangeMatrix,
-) -> Factors {
+) -> Found {
     let (mut per_element, mut rays) = (request.rays, 0);
     loop {
         let matrix = rows(per_element);
@@ -148,10 +148,10 @@ fn by_rows(
             false => largest_row_error(&matrix, request.floor),
         });
         let (Some(asked), Some(reached)) = (request.error, achieved) else {
-            return Factors { rows: Some(matrix), pairs: None, achieved, rays, blocked: Vec::new() };
+            return Found { rows: Some(matrix), pairs: None, achieved, rays, blocked: Vec::new() };
         };
         if reached <= asked || per_element >= MOST_RAYS {
-            return Factors { rows: Some(matrix), pairs: None, achieved, rays, blocked: Vec::new() };
+            return Found { rows: Some(matrix), pairs: None, achieved, rays, blocked: Vec::new() };
         }
         per_element = more(per_element.next_power_of_two(), reached / asked, MOST_RAYS);
     }

@@ -2,8 +2,8 @@
 
 pub mod analytic;
 mod estimate;
-mod factors;
 mod file;
+mod found;
 mod matrix;
 pub mod pairs;
 mod raycast;
@@ -12,7 +12,7 @@ mod specular;
 mod table;
 
 pub use estimate::{MOST_RAYS, Request, by_pairs, estimate, unoccluded};
-pub use factors::Factors;
+pub use found::Found;
 pub use matrix::{ExchangeMatrix, RowSummary};
 pub use raycast::{Casting, EmitterIrradiance, EmitterWork, cast};
 pub use source::time_embree;

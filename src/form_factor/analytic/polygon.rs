@@ -20,6 +20,7 @@ pub struct Polygon {
 }
 
 /// Which part of a polygon lies in front of a plane.
+#[allow(clippy::large_enum_variant)] // lives on the stack for a moment, in loops that must not allocate
 pub enum Cut {
     /// All of it.
     All,

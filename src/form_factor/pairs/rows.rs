@@ -51,6 +51,7 @@ pub(super) struct Scratch {
 }
 
 /// An estimate of one pair.
+#[derive(Clone, Copy)]
 struct Estimate {
     /// Visible fraction of each randomisation (linearised about the mean).
     fractions: [f64; BATCHES],
@@ -80,29 +81,23 @@ impl Shared<'_, '_> {
         for j in i + 1..n {
             let b = &self.elements[j];
             let (by_batch, unseen, certain) = &mut sums[b.object as usize];
-            let (mut value, mut error) = (0.0, 0.0);
-            if a.face != b.face {
-                if let Some((pa, pb)) = facing(&a.polygon, &b.polygon) {
-                    value = self.pair(
-                        scratch,
-                        (i, j),
-                        (&pa, &pb),
-                        &mut row,
-                        |fractions, full, hidden| {
-                            by_batch.iter_mut().zip(fractions).for_each(|(s, f)| *s += f * full);
-                            *unseen += hidden;
-                        },
-                        &mut error,
-                        certain,
-                    );
-                } else {
-                    row.counts.averted += 1;
-                }
-            } else {
+            let parts = if a.face == b.face { None } else { facing(&a.polygon, &b.polygon) };
+            let Some((pa, pb)) = parts else {
                 row.counts.averted += 1;
+                row.exchange.push(0.0);
+                row.error.push(0.0);
+                continue;
+            };
+            let (full, estimate) = self.pair(scratch, (i, j), (&pa, &pb), &mut row);
+            match estimate {
+                None => *certain += full,
+                Some(e) => {
+                    by_batch.iter_mut().zip(e.fractions).for_each(|(s, f)| *s += f * full);
+                    *unseen += e.unseen * full * full;
+                }
             }
-            row.exchange.push(value);
-            row.error.push(error as f32);
+            row.exchange.push(full * estimate.map_or(1.0, |e| e.mean));
+            row.error.push((full * estimate.map_or(0.0, |e| e.variance).sqrt()) as f32);
         }
         for (object, (batches, unseen, certain)) in sums.into_iter().enumerate() {
             let (mean, error) = mean_error(&batches[..self.work.batches]);
@@ -114,19 +109,15 @@ impl Shared<'_, '_> {
         row
     }
 
-    /// Exchange area of a pair whose parts `pa`, `pb` face each other. Tells `add` the fraction of each
-    /// randomisation, the unoccluded exchange area, and variance that the randomisations do not show; a factor without
-    /// error goes to `certain`.
+    /// Exchange area of a pair whose parts `pa`, `pb` face each other, and the estimate of the visible fraction of it, where
+    /// that is not certain.
     fn pair(
         &self,
         scratch: &mut Scratch,
         (i, j): (usize, usize),
         (pa, pb): (&Polygon, &Polygon),
         row: &mut Row,
-        mut add: impl FnMut(&[f64; BATCHES], f64, f64),
-        error: &mut f64,
-        certain: &mut f64,
-    ) -> f64 {
+    ) -> (f64, Option<Estimate>) {
         let full = exchange_facing(pa, pb, self.tolerance());
         let mut between: Vec<u32> = Vec::new();
         if !self.work.unoccluded {
@@ -139,14 +130,13 @@ impl Shared<'_, '_> {
         }
         if between.is_empty() {
             row.counts.free += 1;
-            *certain += full;
-            return full;
+            return (full, None);
         }
         if between.iter().any(|q| blocks_all(pa, pb, &self.faces[*q as usize].polygon))
             || self.bodies.iter().any(|body| body.has_any(&between) && body.hides(pa, pb))
         {
             row.counts.hidden += 1;
-            return 0.0;
+            return (0.0, None);
         }
         let estimate = if between.len() <= MOST_SHADOWS {
             row.counts.shadows += 1;
@@ -167,12 +157,10 @@ impl Shared<'_, '_> {
             estimate
         };
         row.counts.missed += u64::from(estimate.missed);
-        add(&estimate.fractions, full, estimate.unseen * full * full);
-        *error = full * estimate.variance.sqrt();
-        full * estimate.mean
+        (full, Some(estimate))
     }
 
-    /// Adds points, 16 at a time, one in each randomisation, until there are enough. `see` gives (visible, whole)
+    /// Adds points, one in each randomisation, until there are enough. `see` gives (visible, whole)
     /// kernel of sample k of every randomisation.
     fn estimate(
         &self,

@@ -8,10 +8,10 @@ use crate::mesh::Mesh;
 use crate::scene::Scene;
 
 /// Form factors by the estimator that fitted.
-pub struct Factors {
+pub struct Found {
     /// Rows by hemisphere rays.
     pub rows: Option<ExchangeMatrix>,
-    /// Factors pair by pair, which take the place of the rows' entries.
+    /// Factors found pair by pair, which take the place of the rows' entries.
     pub pairs: Option<PairFactors>,
     /// Largest relative standard error of a factor above the floor, where an error was asked for.
     pub achieved: Option<f64>,
@@ -21,7 +21,7 @@ pub struct Factors {
     pub blocked: Vec<(u32, u32)>,
 }
 
-impl Factors {
+impl Found {
     /// The matrix as `scipy.sparse.load_npz` reads it: CSR, f64, sorted columns, [n, n].
     pub fn to_npz(&self) -> Result<Vec<u8>> {
         match (&self.pairs, &self.rows) {
