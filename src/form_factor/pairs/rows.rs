@@ -188,12 +188,12 @@ impl Shared<'_, '_> {
             let mut estimate = Estimate::of(&sums, self.work.batches, done * self.work.batches);
             let Some(asked) = self.work.error else { return estimate };
             // A narrow strip that is seen (or hidden) alone can slip between all points, and then their spread is too
-            // small: n points find it within `sqrt(V) / 2 n`, and where they are all alike, they may miss 1 / 2 n (or
-            // `(1.5 / n)^2`, the corner of both elements, where nothing is seen).
+            // small: n points find it within about `sqrt(V) / n`, miss 1 / n of it where all see everything, and
+            // less where all see nothing, since what is seen there begins at nothing on both elements.
             let points = (done * batches) as f64;
             let (mean, spread) = (estimate.mean, (estimate.variance - estimate.unseen).max(0.0).sqrt());
-            let strip = 0.5 / points * if mean == 1.0 { 1.0 } else { mean.min(1.0 - mean).sqrt() };
-            let lost = (1.5 / points).powi(2);
+            let strip = 1.0 / points * if mean == 1.0 { 1.0 } else { mean.min(1.0 - mean).sqrt() };
+            let lost = 0.25 / points;
             let enough = mean > 0.0 && spread.max(strip) <= asked * mean
                 || largest * (mean + 2.0 * spread + lost) < self.work.floor;
             if enough || done >= MOST_POINTS as usize {
