@@ -470,3 +470,50 @@ fn names_that_are_not_unicode() {
     assert_eq!(output.status.code(), Some(0), "{stderr}");
     assert!(room.path("r.json").is_file() && Path::new(&room.0.path().join(name)).is_file());
 }
+
+/// Unit squares face to face, and a smaller one half-way between them.
+const BLOCKED: &str = "o a\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n\
+    o b\nv 0 0 1\nv 1 0 1\nv 1 1 1\nv 0 1 1\nf 5 8 7 6\n\
+    o shelf\nv 0.25 0.25 0.5\nv 0.75 0.25 0.5\nv 0.75 0.75 0.5\nv 0.25 0.75 0.5\nf 9 10 11 12\n";
+
+#[test]
+fn analytic_factors_ignore_what_lies_between_and_say_so() {
+    let files = Files::new("", BLOCKED);
+    let base = ["form-factors", "room.obj", "--method", "analytic"];
+    let run = files.done(&[&base[..], &["--by-object"]].concat());
+    let table: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    let factor = |a: usize, b: usize| table["form_factors"][a][b].as_f64().unwrap();
+    assert!((factor(0, 1) / 0.19982489569838738 - 1.0).abs() < 1e-12, "{}", factor(0, 1));
+    // The shelf's front sees b alone, and a its back.
+    assert!(factor(2, 1) > 0.5 && factor(0, 2) == 0.0);
+    assert_eq!(table["standard_errors"][0][1], 0.0);
+    assert_eq!(run.stderr.matches("occlusion is ignored").count(), 1, "{}", run.stderr);
+    assert!(run.stderr.contains("\"a\" - \"b\"") && !run.stderr.contains("\"shelf\""), "{}", run.stderr);
+    files.done(&[&base[..], &["--element-size", "0.25", "-o", "f.npz"]].concat());
+    assert!(files.path("f.npz").exists());
+    files.fails(
+        &[&base[..], &["--element-size", "0.001", "-o", "g.npz"]].concat(),
+        2,
+        &["--element-size", "elements"],
+    );
+}
+
+#[test]
+fn asked_errors_are_reported() {
+    let files = Files::new("", BLOCKED);
+    let base = ["form-factors", "room.obj", "--by-object", "--element-size", "9", "--rays", "16"];
+    let run = files.done(&[&base[..], &["--error", "1e-3", "--report", "r.json"]].concat());
+    let table: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    let factor = table["form_factors"][0][1].as_f64().unwrap();
+    let error = table["standard_errors"][0][1].as_f64().unwrap();
+    assert!(error > 0.0 && error <= 1e-3 * factor, "{factor} {error}");
+    assert!((factor / 0.09950629459898479 - 1.0).abs() < 4e-3, "{factor}");
+    let report: serde_json::Value = serde_json::from_slice(&fs::read(files.path("r.json")).unwrap()).unwrap();
+    assert!(report["form_factors"]["largest_relative_error"].as_f64().unwrap() <= 1e-3);
+    assert_eq!(report["form_factors"]["pairs"]["shadows"], 1);
+    let run = files.done(&[&base[..], &["--error", "1e-9"]].concat());
+    assert_eq!(run.stderr.matches("--error 0.000000001 not met").count(), 1, "{}", run.stderr);
+    for bad in ["0", "2", "-1", "x"] {
+        files.fails(&[&base[..], &["--error", bad]].concat(), 2, &["--error"]);
+    }
+}

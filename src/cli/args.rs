@@ -127,6 +127,12 @@ pub struct FormFactorArgs {
     /// that light meets on its way, and a purely specular surface has no factors of its own.
     #[arg(long, value_enum, default_value_t = MirrorArg::None)]
     pub mirror: MirrorArg,
+    /// Add rays until the standard error of every factor above the floor is at most this share of it.
+    #[arg(long, value_name = "E", value_parser = share, allow_negative_numbers = true)]
+    pub error: Option<f64>,
+    /// Smallest factor that --error is for.
+    #[arg(long, value_name = "F", default_value_t = 1e-3, value_parser = share, allow_negative_numbers = true)]
+    pub floor: f64,
     /// One row and column for each object (`o`/`g` name) instead of each element.
     #[arg(long)]
     pub by_object: bool,
@@ -273,10 +279,13 @@ pub enum EstimatorArg {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum FactorMethodArg {
-    /// Ray-cast hemisphere sampling.
+    /// Ray casting: hemisphere rays, and where the elements are few enough for the rays, pair by pair the exact
+    /// unoccluded factor times the visible fraction.
     Ray,
     /// Hemi-cubes drawn with a z-buffer (Cohen and Greenberg 1985).
     Hemicube,
+    /// Exact factors, as if nothing were between two elements: occlusion is ignored.
+    Analytic,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -330,6 +339,13 @@ fn rows(s: &str) -> Result<Range<usize>, String> {
     match parsed {
         Some(range) if range.start < range.end => Ok(range),
         _ => Err("must be A..B with whole numbers A < B: rows A to B - 1, counted from 0".into()),
+    }
+}
+
+fn share(s: &str) -> Result<f64, String> {
+    match s.parse::<f64>() {
+        Ok(l) if l > 0.0 && l < 1.0 => Ok(l),
+        _ => Err("must be a number between 0 and 1".into()),
     }
 }
 

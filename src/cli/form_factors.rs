@@ -7,8 +7,8 @@ use super::render::pass1;
 use crate::embree::Device;
 use crate::form_factor::export::{self, View};
 use crate::form_factor::{
-    Casting, Enforce, ExchangeMatrix, Factors, HemicubeErrors, HemicubeSettings, cast_images, cast_rows,
-    correct, hemicube,
+    Casting, Enforce, Factors, Found, HemicubeErrors, HemicubeSettings, Request, cast_images, cast_rows,
+    correct, estimate, hemicube, unoccluded,
 };
 use crate::image::{self, WriteOptions};
 use crate::mesh::{Mesh, Sides, default_element_size};
@@ -90,21 +90,30 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
     } else {
         let mut run = Run { args, scene: &scene, mesh: &mesh, progress: &progress, stages: &mut stages };
         let start = Instant::now();
-        let matrix = run.matrix(&device, &settings, rows.as_deref())?;
+        let found = run.find(&device, &settings, rows.as_deref())?;
         let range = args.rows.clone();
         let seconds = start.elapsed().as_secs_f64();
-        let of = if args.by_object { Factors::of_objects } else { Factors::of_elements };
         let all = if args.by_object {
             scene.objects.len() * if args.two_sided { 2 } else { 1 }
         } else {
             mesh.len()
         };
-        let mut factors = of(&scene, &mesh, &matrix, range.unwrap_or(0..all), seconds);
+        let kept = (args.by_object, range.unwrap_or(0..all));
+        let mut factors = Factors::of_found(&scene, &mesh, &found, kept, seconds);
+        found.lines(args.floor).iter().for_each(|l| progress.line(l));
+        let said = found.warnings(&scene, args.error);
+        said.iter().for_each(|w| progress.warn(w));
+        warnings.extend(said);
         let losses = losses(&factors, args.two_sided);
         losses.iter().for_each(|w| progress.warn(w));
         warnings.extend(losses);
-        let mut numbers = FactorReport::new(&scene, &mesh, &matrix, rows.as_deref(), &factors);
-        drop(matrix);
+        let method = match args.method {
+            FactorMethodArg::Ray => "ray",
+            FactorMethodArg::Hemicube => "hemicube",
+            FactorMethodArg::Analytic => "analytic",
+        };
+        let mut numbers = FactorReport::new(&scene, &mesh, &found, (method, rows.is_some()), &factors);
+        drop(found);
         if let Some(enforce) = enforced(args.enforce) {
             let correction = correct(&mut factors, enforce)?;
             progress.line(&format!(
@@ -156,7 +165,7 @@ struct Run<'a> {
 }
 
 impl Run<'_> {
-    fn matrix(&mut self, device: &Device, settings: &Pass1, rows: Option<&[bool]>) -> Result<ExchangeMatrix> {
+    fn find(&mut self, device: &Device, settings: &Pass1, rows: Option<&[bool]>) -> Result<Found> {
         let progress = self.progress;
         let observer = &|e| progress.tell(e);
         let advance = |n| progress.tell(Event::Advance(n));
@@ -171,8 +180,23 @@ impl Run<'_> {
                         let work = (settings.rays, BATCHES);
                         let matrix = cast_images(&visibility, self.mesh, work, settings.seed, &advance);
                         let rays = matrix.as_ref().map_or(0, |m| m.rays);
-                        (matrix, rays)
+                        (matrix.map(Found::by_rows), rays)
                     });
+                }
+                if self.args.mirror == MirrorArg::None && !self.args.two_sided && rows.is_none() {
+                    return Ok(pipeline::stage("form-factors", count, observer, self.stages, || {
+                        let request = Request {
+                            rays: settings.rays,
+                            error: self.args.error,
+                            floor: self.args.floor,
+                            by_object: self.args.by_object,
+                            seed: settings.seed,
+                            progress: &advance,
+                        };
+                        let found = estimate(&visibility, self.mesh, &request);
+                        let rays = found.rays;
+                        (found, rays)
+                    }));
                 }
                 Ok(pipeline::stage("form-factors", count, observer, self.stages, || {
                     let casting = Casting {
@@ -186,14 +210,24 @@ impl Run<'_> {
                     };
                     let (matrix, _) = cast_rows(&visibility, self.mesh, &casting, rows);
                     let rays = matrix.rays;
-                    (matrix, rays)
+                    (Found::by_rows(matrix), rays)
                 }))
             }
             FactorMethodArg::Hemicube => {
                 let settings = hemicube_settings(self.args);
                 Ok(pipeline::stage("form-factors", count, observer, self.stages, || {
-                    (hemicube(self.scene, self.mesh, &settings, rows, &advance), 0)
+                    (Found::by_rows(hemicube(self.scene, self.mesh, &settings, rows, &advance)), 0)
                 }))
+            }
+            FactorMethodArg::Analytic => {
+                let visibility = pipeline::stage("build", 0, observer, self.stages, || {
+                    (Visibility::new(device, self.scene), 0)
+                })?;
+                pipeline::stage("form-factors", count, observer, self.stages, || {
+                    let found = unoccluded(&visibility, self.mesh, settings.seed, &advance);
+                    let rays = found.as_ref().map_or(0, |f| f.rays);
+                    (found, rays)
+                })
             }
         }
     }
@@ -272,6 +306,13 @@ fn check_options(args: &FormFactorArgs, outputs: &[(PathBuf, Format)]) -> Result
         return refuse(
             "--method hemicube casts no rays: use --resolution and --hemicube-grid instead of --rays",
         );
+    }
+    if args.method == FactorMethodArg::Analytic && (args.two_sided || args.rows.is_some()) {
+        return refuse("--method analytic finds all rows of the fronts: leave out --rows and --two-sided");
+    }
+    let plain = args.method == FactorMethodArg::Ray && args.mirror == MirrorArg::None;
+    if args.error.is_some() && (!plain || args.two_sided || args.rows.is_some()) {
+        return refuse("--error belongs to --method ray without --mirror, --two-sided and --rows");
     }
     if args.method != FactorMethodArg::Ray && args.mirror != MirrorArg::None {
         return refuse("--mirror belongs to --method ray");

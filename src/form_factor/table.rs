@@ -2,6 +2,7 @@
 
 use super::ExchangeMatrix;
 use super::export::sides;
+use super::pairs::PairFactors;
 use crate::color;
 use crate::mesh::Mesh;
 use crate::scene::Scene;
@@ -56,19 +57,11 @@ impl ObjectTable {
         let statistic = |f: &dyn Fn(&[f64]) -> f64| -> Vec<Vec<f64>> {
             estimates.iter().map(|row| row.iter().map(|e| f(e)).collect()).collect()
         };
-        let mean = |e: &[f64]| e.iter().sum::<f64>() / e.len() as f64;
         ObjectTable {
             objects: sides.names,
             areas,
-            form_factors: statistic(&mean),
-            standard_errors: statistic(&|e| {
-                if e.len() < 2 {
-                    return f64::NAN;
-                }
-                let m = mean(e);
-                let spread: f64 = e.iter().map(|x| (x - m) * (x - m)).sum();
-                (spread / (e.len() * (e.len() - 1)) as f64).sqrt()
-            }),
+            form_factors: statistic(&|e| mean_error(e).0),
+            standard_errors: statistic(&|e| mean_error(e).1),
             escaped,
             rays: matrix.rays_per_row,
             seconds,
@@ -76,4 +69,75 @@ impl ObjectTable {
             written: "raw",
         }
     }
+
+    /// [`ObjectTable::new`] with both directions' estimates combined.
+    ///
+    /// `A_a F_ab` and `A_b F_ba` estimate the same exchange area; their weights are the inverse of what `N` independent rays
+    /// would give as variance, `A^2 F (1 - F) / N`, with the mean of both for `A F`. The weights do not see
+    /// the spread of the randomisations, nor the smaller estimate: these would favour what happens to be small.
+    /// Rows then close within their errors only.
+    pub fn combined(scene: &Scene, mesh: &Mesh, matrix: &ExchangeMatrix, seconds: f64) -> ObjectTable {
+        let mut table = ObjectTable::new(scene, mesh, matrix, seconds);
+        let mut elements = vec![0.0; scene.objects.len()];
+        for e in 0..mesh.len() {
+            elements[scene.faces[mesh.place(e as u32).0 as usize].object as usize] += 1.0;
+        }
+        for a in 0..elements.len() {
+            for b in 0..a {
+                let (area, f) = (&table.areas, &mut table.form_factors);
+                let exchange = [area[a] * f[a][b], area[b] * f[b][a]];
+                let mean = 0.5 * (exchange[0] + exchange[1]);
+                if mean == 0.0 {
+                    continue;
+                }
+                let variance = |k: usize, f: f64| area[k] * mean * (1.0 - f).max(0.0) / elements[k];
+                let (va, vb) = (variance(a, f[a][b]), variance(b, f[b][a]));
+                let share = if va + vb > 0.0 { vb / (va + vb) } else { 0.5 };
+                let both = share * exchange[0] + (1.0 - share) * exchange[1];
+                let e = &mut table.standard_errors;
+                let error = (share * area[a] * e[a][b]).hypot((1.0 - share) * area[b] * e[b][a]);
+                (f[a][b], f[b][a]) = (both / area[a], both / area[b]);
+                (e[a][b], e[b][a]) = (error / area[a], error / area[b]);
+            }
+        }
+        table
+    }
+
+    /// The same from factors found pair by pair; `rows` tells where the rest of the rays went.
+    pub fn of_pairs(
+        scene: &Scene,
+        mesh: &Mesh,
+        pairs: &PairFactors,
+        rows: Option<&ExchangeMatrix>,
+        seconds: f64,
+    ) -> ObjectTable {
+        let n = scene.objects.len();
+        let (mut areas, mut escaped) = (vec![0.0; n], vec![0.0; n]);
+        for e in 0..mesh.len() {
+            let a = scene.faces[mesh.place(e as u32).0 as usize].object as usize;
+            areas[a] += mesh.area(e as u32);
+            escaped[a] += mesh.area(e as u32) * pairs.rest(e, rows.and_then(|r| r.summary.get(e))).escaped.x;
+        }
+        escaped.iter_mut().zip(&areas).for_each(|(e, a)| *e /= a);
+        let between = |a: usize| (0..n).map(move |b| pairs.between_objects(a, b));
+        ObjectTable {
+            objects: scene.objects.clone(),
+            form_factors: (0..n).map(|a| between(a).map(|(g, _)| g / areas[a]).collect()).collect(),
+            standard_errors: (0..n).map(|a| between(a).map(|(_, e)| e / areas[a]).collect()).collect(),
+            areas,
+            escaped,
+            rays: rows.map_or(0, |r| r.rays_per_row),
+            seconds,
+            rows: None,
+            written: "raw",
+        }
+    }
+}
+
+/// Mean of independent estimates and its standard error; not a number for a single one.
+pub(super) fn mean_error(e: &[f64]) -> (f64, f64) {
+    let n = e.len() as f64;
+    let mean = e.iter().sum::<f64>() / n;
+    let spread: f64 = e.iter().map(|x| (x - mean) * (x - mean)).sum();
+    (mean, (spread / (n * (n - 1.0))).sqrt())
 }

@@ -9,7 +9,8 @@ pub mod suite;
 mod text;
 
 use crate::color::Rgb;
-use crate::form_factor::{Correction, ExchangeMatrix, Factors, HemicubeErrors, HemicubeSettings};
+use crate::form_factor::pairs::PairCounts;
+use crate::form_factor::{Correction, Factors, Found, HemicubeErrors, HemicubeSettings};
 use crate::mesh::Mesh;
 use crate::output::write_whole;
 use crate::pipeline::{Pass1, Pass1Result, Residuals, Stage};
@@ -107,7 +108,7 @@ impl Pass1Report {
 /// Form factors in numbers.
 #[derive(Debug, Clone, Serialize)]
 pub struct FactorReport {
-    /// `ray` or `hemicube`.
+    /// `ray`, `hemicube` or `analytic`.
     pub method: &'static str,
     /// Rays an element; 0 where none are cast.
     pub rays_per_element: u32,
@@ -134,34 +135,46 @@ pub struct FactorReport {
     /// The hemi-cube's own errors, where they were asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hemicube_errors: Option<HemicubeErrors>,
+    /// How pairs of elements were found, where the factors were found pair by pair.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pairs: Option<PairCounts>,
+    /// Largest relative standard error of a factor above the floor, where an error was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub largest_relative_error: Option<f64>,
 }
 
 impl FactorReport {
-    /// Collects the numbers of a matrix of ordinary form factors; `rows` of those that were not all computed.
+    /// Collects the numbers of form factors found by `method`; `some` where not all rows were computed.
     pub fn new(
         scene: &Scene,
         mesh: &Mesh,
-        matrix: &ExchangeMatrix,
-        rows: Option<&[bool]>,
+        found: &Found,
+        (method, some): (&'static str, bool),
         written: &Factors,
     ) -> FactorReport {
+        let (rows, pairs) = (found.rows.as_ref(), found.pairs.as_ref());
+        let by_rows = rows.map_or(0.0, |r| r.closure_residual(|_| Rgb::ZERO));
+        // Pairs are reciprocal as they are.
+        let reciprocity =
+            rows.map_or(0.0, |r| if pairs.is_some() { 0.0 } else { r.reciprocity_residual(scene, mesh) });
         FactorReport {
-            method: if matrix.rays > 0 { "ray" } else { "hemicube" },
-            rays_per_element: matrix.rays_per_row,
-            stored_factors: matrix.stored(),
-            matrix_bytes: matrix.bytes(),
-            closure: matrix.closure_residual(|_| Rgb::ZERO),
-            reciprocity: rows.is_none().then(|| matrix.reciprocity_residual(scene, mesh)),
+            method,
+            rays_per_element: rows.map_or(0, |r| r.rays_per_row),
+            stored_factors: pairs.map_or(rows.map_or(0, |r| r.stored()), |p| p.stored()),
+            matrix_bytes: rows.map_or(0, |r| r.bytes()) + pairs.map_or(0, |p| p.bytes()),
+            closure: pairs.map_or(by_rows, |p| p.closure_residual(rows)),
+            reciprocity: (!some).then_some(reciprocity),
             escaped: written.loss(&written.escaped).0,
             absorbed: written.loss(&written.absorbed).0,
             written: written.written,
             correction: None,
             hemicube: None,
             hemicube_errors: None,
+            pairs: pairs.map(|p| p.counts),
+            largest_relative_error: found.achieved,
         }
     }
 }
-
 /// Reflected radiosity over irradiance, where there is any.
 fn albedo(s: &crate::radiosity::Solution, e: usize) -> crate::color::Rgb {
     let ratio = |b: f64, h: f64| if h > 0.0 { b / h } else { 0.0 };

@@ -11,8 +11,9 @@ pub use npz::write_npz;
 pub use text::{to_csv, to_json, to_view3d};
 pub use view::{View, view};
 
-use super::{ExchangeMatrix, ObjectTable};
-use crate::color;
+use super::pairs::PairFactors;
+use super::{ExchangeMatrix, Found, ObjectTable};
+use crate::color::{self, Rgb};
 use crate::mesh::Mesh;
 use crate::scene::Scene;
 use std::ops::Range;
@@ -117,6 +118,76 @@ impl Factors {
         factors
     }
 
+    /// Factors however they were found; `rows` of them are kept.
+    pub fn of_found(
+        scene: &Scene,
+        mesh: &Mesh,
+        found: &Found,
+        (by_object, rows): (bool, Range<usize>),
+        seconds: f64,
+    ) -> Factors {
+        match (&found.pairs, &found.rows, by_object) {
+            (Some(pairs), matrix, true) => {
+                let table = found.table(scene, mesh, seconds);
+                let rest = |e: usize| pairs.rest(e, matrix.as_ref().and_then(|m| m.summary.get(e))).absorbed;
+                Factors::of_table(scene, mesh, table, rest, rows)
+            }
+            (Some(pairs), matrix, false) => {
+                Factors::of_pairs(scene, mesh, pairs, matrix.as_ref(), rows, seconds)
+            }
+            // An error that was asked for is that of both directions together.
+            (None, Some(matrix), true) if found.achieved.is_some() => {
+                let lost = |e: usize| matrix.summary[e].absorbed + matrix.summary[e].dropped;
+                Factors::of_table(scene, mesh, found.table(scene, mesh, seconds), lost, rows)
+            }
+            (None, Some(matrix), true) => Factors::of_objects(scene, mesh, matrix, rows, seconds),
+            (None, Some(matrix), false) => Factors::of_elements(scene, mesh, matrix, rows, seconds),
+            (None, None, _) => unreachable!("factors are found by rows or by pairs"),
+        }
+    }
+
+    /// One node an element, factors found pair by pair; `matrix` tells where the rest of the rays went.
+    fn of_pairs(
+        scene: &Scene,
+        mesh: &Mesh,
+        pairs: &PairFactors,
+        matrix: Option<&ExchangeMatrix>,
+        rows: Range<usize>,
+        seconds: f64,
+    ) -> Factors {
+        let n = mesh.len();
+        let sides = sides(scene, mesh);
+        let mut factors = Factors {
+            by_object: false,
+            names: sides.names,
+            object: (0..n).map(|e| sides.of_element[e]).collect(),
+            areas: (0..n as u32).map(|e| mesh.area(e)).collect(),
+            emissivity: (0..n as u32).map(|e| emissivity(scene, mesh.place(e).0)).collect(),
+            start: vec![0],
+            columns: Vec::new(),
+            values: Vec::new(),
+            errors: Vec::new(),
+            escaped: Vec::new(),
+            absorbed: Vec::new(),
+            rays: matrix.map_or(0, |m| m.rays_per_row),
+            seconds,
+            written: "raw",
+            rows: rows.clone(),
+        };
+        for row in rows {
+            let rest = pairs.rest(row, matrix.and_then(|m| m.summary.get(row)));
+            factors.escaped.push(color::mean(rest.escaped));
+            factors.absorbed.push(color::mean(rest.absorbed + rest.dropped));
+            for (j, f) in pairs.row(row) {
+                factors.columns.push(j as u32);
+                factors.values.push(f);
+                factors.errors.push(pairs.factor(row, j).1);
+            }
+            factors.start.push(factors.columns.len());
+        }
+        factors
+    }
+
     /// One node for each side of an object; `rows` of them are kept. Zeros are kept too.
     pub fn of_objects(
         scene: &Scene,
@@ -126,14 +197,27 @@ impl Factors {
         seconds: f64,
     ) -> Factors {
         let table = ObjectTable::new(scene, mesh, matrix, seconds);
+        let lost = |e: usize| matrix.summary[e].absorbed + matrix.summary[e].dropped;
+        Factors::of_table(scene, mesh, table, lost, rows)
+    }
+
+    /// One node for each side of an object; `lost` is the share of an element's light that landed on no node.
+    fn of_table(
+        scene: &Scene,
+        mesh: &Mesh,
+        table: ObjectTable,
+        lost: impl Fn(usize) -> Rgb,
+        rows: Range<usize>,
+    ) -> Factors {
+        // A single randomisation has no errors to tell.
+        let several = table.standard_errors.iter().flatten().all(|e| !e.is_nan());
         let sides = sides(scene, mesh);
         let n = table.objects.len();
         let (mut absorbed, mut reflected) = (vec![0.0; n], vec![0.0; n]);
         for e in 0..mesh.len() {
             let a = sides.of_element[e] as usize;
             let share = mesh.area(e as u32) / table.areas[a];
-            let summary = &matrix.summary[e];
-            absorbed[a] += share * color::mean(summary.absorbed + summary.dropped);
+            absorbed[a] += share * color::mean(lost(e));
             reflected[a] += share * (1.0 - emissivity(scene, mesh.place(e as u32).0));
         }
         let some = |table: Vec<Vec<f64>>| -> Vec<f64> {
@@ -148,11 +232,11 @@ impl Factors {
             start: (0..=rows.len()).map(|r| r * n).collect(),
             columns: rows.clone().flat_map(|_| 0..n as u32).collect(),
             values: some(table.form_factors),
-            errors: if matrix.batches() > 1 { some(table.standard_errors) } else { Vec::new() },
+            errors: if several { some(table.standard_errors) } else { Vec::new() },
             escaped: table.escaped[rows.clone()].to_vec(),
             absorbed: absorbed[rows.clone()].to_vec(),
             rays: table.rays,
-            seconds,
+            seconds: table.seconds,
             written: "raw",
             rows,
         }

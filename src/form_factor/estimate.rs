@@ -1,0 +1,190 @@
+//! Which estimator answers a request for form factors, and how much work it takes.
+
+use super::found::Found;
+use super::pairs::{self, PairFactors, PairWork};
+use super::{Casting, ExchangeMatrix, ObjectTable, analytic, cast};
+use crate::mesh::Mesh;
+use crate::visibility::Visibility;
+use crate::{Error, Result};
+
+/// Independent randomisations of the hemisphere rays: four standard errors hold almost always (15 degrees of freedom).
+const BATCHES: u32 = 16;
+/// Rays an element beyond which an asked error is given up.
+pub const MOST_RAYS: u32 = 1 << 20;
+/// A pair costs, all pairs considered, as much as this many hemisphere rays: measured, 0.3 to 2.
+const RAYS_A_PAIR: u32 = 8;
+/// Elements up to which unoccluded factors are computed to [`analytic::EXACT`] rather than to [`QUICK`].
+const FEW_ELEMENTS: usize = 64;
+/// Relative error of unoccluded factors among many elements.
+const QUICK: f64 = 1e-5;
+
+/// What is asked for.
+#[derive(Clone, Copy)]
+pub struct Request<'a> {
+    /// Rays an element, at least; the budget of the pairs of an element too.
+    pub rays: u32,
+    /// Largest relative standard error of the factors above `floor`; none: as good as `rays` give.
+    pub error: Option<f64>,
+    /// Smallest factor that `error` is for.
+    pub floor: f64,
+    /// Factors between objects are what counts.
+    pub by_object: bool,
+    /// Seed.
+    pub seed: u32,
+    /// Called with the number of elements finished.
+    pub progress: &'a (dyn Fn(u64) + Sync),
+}
+
+/// Whether every pair of elements is looked at: where they are no more than an eighth of the rays of an
+/// element, or an error is asked for; and where their number and that of the faces stays within
+/// [`pairs::MOST_ELEMENTS`] and [`pairs::MOST_FACES`].
+pub fn by_pairs(elements: usize, faces: usize, request: &Request) -> bool {
+    let pays = elements <= (request.rays / RAYS_A_PAIR) as usize || request.error.is_some();
+    pays && elements <= pairs::MOST_ELEMENTS && faces <= pairs::MOST_FACES
+}
+
+/// Finds the factors between the elements of a mesh.
+pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Found {
+    let scene = visibility.scene();
+    let rows = |rays: u32| {
+        let casting = Casting {
+            rays,
+            batches: BATCHES,
+            seed: request.seed,
+            specular: false,
+            reached: None,
+            emitters: None,
+            progress: request.progress,
+        };
+        cast(visibility, mesh, &casting).0
+    };
+    if !by_pairs(mesh.len(), scene.faces.len(), request) {
+        return by_rows(visibility, mesh, request, rows);
+    }
+    let rows = rows(request.rays);
+    // Hemisphere rays spent one budget; the pairs have another one.
+    let few = mesh.len() <= FEW_ELEMENTS;
+    let batches = if few { pairs::BATCHES } else { pairs::FEW_BATCHES };
+    let points = request.rays / (mesh.len().max(1) * batches) as u32;
+    let mut work = PairWork {
+        points: 1 << points.max(1).ilog2().min(pairs::MOST_POINTS.ilog2()),
+        batches,
+        error: if request.by_object { None } else { request.error },
+        floor: request.floor,
+        tolerance: if few { analytic::EXACT } else { QUICK },
+        unoccluded: false,
+        seed: request.seed,
+        progress: &|_| (),
+    };
+    if work.error.is_some() {
+        // Few points to begin with: most pairs need no more.
+        work.points = 4;
+    }
+    let mut rays = rows.rays;
+    loop {
+        let found = PairFactors::new(visibility, mesh, &work);
+        rays += found.rays;
+        let achieved = request.error.map(|_| match request.by_object {
+            true => {
+                largest_error(&ObjectTable::of_pairs(scene, mesh, &found, Some(&rows), 0.0), request.floor)
+            }
+            false => found.largest_error(request.floor),
+        });
+        let (Some(asked), Some(reached)) = (request.error, achieved) else {
+            return Found { rows: Some(rows), pairs: Some(found), achieved, rays, blocked: Vec::new() };
+        };
+        if reached <= asked || !request.by_object || work.points >= pairs::MOST_POINTS {
+            return Found { rows: Some(rows), pairs: Some(found), achieved, rays, blocked: Vec::new() };
+        }
+        work.points = more(work.points, reached / asked, pairs::MOST_POINTS);
+    }
+}
+
+/// Exact factors between the elements of a mesh, as if nothing were between any two.
+///
+/// # Errors
+/// There are more than [`pairs::MOST_ELEMENTS`] elements.
+pub fn unoccluded(
+    visibility: &Visibility,
+    mesh: &Mesh,
+    seed: u32,
+    progress: &(dyn Fn(u64) + Sync),
+) -> Result<Found> {
+    if mesh.len() > pairs::MOST_ELEMENTS {
+        return Err(Error::Usage(format!(
+            "{} elements: exact factors of at most {} are held; choose a larger --element-size",
+            mesh.len(),
+            pairs::MOST_ELEMENTS
+        )));
+    }
+    let work = PairWork {
+        points: 1,
+        batches: pairs::FEW_BATCHES,
+        error: None,
+        floor: 0.0,
+        tolerance: analytic::EXACT,
+        unoccluded: true,
+        seed,
+        progress,
+    };
+    let found = PairFactors::new(visibility, mesh, &work);
+    let (blocked, rays) = found.blocked_objects(visibility, mesh, seed);
+    Ok(Found { rows: None, pairs: Some(found), achieved: None, rays, blocked })
+}
+
+/// Hemisphere rays alone, more of them until they meet an asked error.
+fn by_rows(
+    visibility: &Visibility,
+    mesh: &Mesh,
+    request: &Request,
+    rows: impl Fn(u32) -> ExchangeMatrix,
+) -> Found {
+    let (mut per_element, mut rays) = (request.rays, 0);
+    loop {
+        let matrix = rows(per_element);
+        rays += matrix.rays;
+        let achieved = request.error.map(|_| match request.by_object {
+            true => largest_error(&ObjectTable::new(visibility.scene(), mesh, &matrix, 0.0), request.floor),
+            false => largest_row_error(&matrix, request.floor),
+        });
+        let (Some(asked), Some(reached)) = (request.error, achieved) else {
+            return Found { rows: Some(matrix), pairs: None, achieved, rays, blocked: Vec::new() };
+        };
+        if reached <= asked || per_element >= MOST_RAYS {
+            return Found { rows: Some(matrix), pairs: None, achieved, rays, blocked: Vec::new() };
+        }
+        per_element = more(per_element.next_power_of_two(), reached / asked, MOST_RAYS);
+    }
+}
+
+/// The next number of points, if the error must fall by `factor` and falls with the square root.
+fn more(points: u32, factor: f64, most: u32) -> u32 {
+    let times = (factor * factor).clamp(2.0, 16.0) as u32;
+    (points * times.next_power_of_two()).min(most)
+}
+
+fn largest_error(table: &ObjectTable, floor: f64) -> f64 {
+    let both = table.form_factors.iter().flatten().zip(table.standard_errors.iter().flatten());
+    both.filter(|(f, _)| **f > floor).map(|(f, e)| e / f).fold(0.0, f64::max)
+}
+
+fn largest_row_error(matrix: &ExchangeMatrix, floor: f64) -> f64 {
+    let batches = matrix.batches();
+    let mut estimates = std::collections::BTreeMap::new();
+    let mut worst = 0.0f64;
+    for row in 0..matrix.len() {
+        estimates.clear();
+        for b in 0..batches {
+            for (j, f) in matrix.batch(row, b) {
+                estimates.entry(j).or_insert_with(|| vec![0.0; batches])[b] += f.x * batches as f64;
+            }
+        }
+        for e in estimates.values() {
+            let (mean, error) = super::table::mean_error(e);
+            if mean > floor {
+                worst = worst.max(error / mean);
+            }
+        }
+    }
+    worst
+}

@@ -1,0 +1,368 @@
+//! Form factors pair by pair: the exact unoccluded factor times the visible fraction.
+//!
+//! Three things are certain without sampling: elements that face away from each other or lie in one plane
+//! have no factor; where no face reaches into the shaft between two elements, their factor is the
+//! unoccluded one; where one face cuts every segment, it is zero. For the other pairs points are spread over
+//! one element, and what each sees of the other element is weighted by the kernel:
+//!
+//! `F = F_0 * sum of f(p) / sum of f_0(p)`,
+//!
+//! a ratio of sums over the same points, whose bias is of the order of its variance. Where few faces reach into
+//! the shaft, `f(p)` is what Lambert's formula gives for the polygon less the shadows of those faces, and so
+//! free of noise; where there are many, `f(p)` is the kernel towards one point of the other element, and a ray asks
+//! whether that is visible.
+
+mod body;
+mod rows;
+mod shadow;
+mod shaft;
+
+use super::analytic::{EXACT, Polygon};
+use super::{ExchangeMatrix, RowSummary};
+use crate::color::Rgb;
+use crate::mesh::Mesh;
+use crate::sampling::{seed_of, sobol};
+use crate::scene::Scene;
+use crate::visibility::Visibility;
+use body::Body;
+use rayon::prelude::*;
+use shaft::{Bounded, Shaft};
+use std::collections::BTreeSet;
+
+/// Most independent randomisations of the points on each element: 15 degrees of freedom.
+pub const BATCHES: usize = 16;
+/// Randomisations where many elements share the work: more points in each converge faster.
+pub const FEW_BATCHES: usize = 8;
+
+/// Most faces of a scene whose shafts are searched: the search takes their number cubed.
+pub const MOST_FACES: usize = 512;
+/// Most elements whose pairs are held: 100 MB.
+pub const MOST_ELEMENTS: usize = 4096;
+
+/// What counts as touching, as a share of the scene's radius.
+const TOUCHING: f64 = 1e-10;
+
+/// Rays that look for what lies between, all pairs together.
+const LOOKS: usize = 1 << 21;
+
+/// How to estimate.
+#[derive(Clone, Copy)]
+pub struct PairWork<'a> {
+    /// Points of each randomisation, a pair; a power of two.
+    pub points: u32,
+    /// Randomisations, 2 to [`BATCHES`].
+    pub batches: usize,
+    /// Points are doubled until the standard error is at most this share of the factor.
+    pub error: Option<f64>,
+    /// Factors below this need not meet `error`.
+    pub floor: f64,
+    /// Relative error of unoccluded factors, at least 1e-11.
+    pub tolerance: f64,
+    /// Ignore what lies between.
+    pub unoccluded: bool,
+    /// Seed.
+    pub seed: u32,
+    /// Called with the number of elements finished.
+    pub progress: &'a (dyn Fn(u64) + Sync),
+}
+
+/// Most points of one randomisation of a pair.
+pub const MOST_POINTS: u32 = 4096;
+
+/// How many pairs of elements (unordered) were found in which way.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
+pub struct PairCounts {
+    /// Face away from each other, or lie in one plane.
+    pub averted: u64,
+    /// Proven free: the factor is the exact unoccluded one.
+    pub free: u64,
+    /// Proven hidden.
+    pub hidden: u64,
+    /// Estimated by points that see past the faces between.
+    pub shadows: u64,
+    /// Estimated by rays from area to area.
+    pub rays: u64,
+    /// Of the estimated ones, those that missed the error asked for.
+    pub missed: u64,
+}
+
+/// Symmetric exchange areas between all elements.
+pub struct PairFactors {
+    n: usize,
+    /// Area of each element [m^2].
+    areas: Vec<f64>,
+    /// `A_i F_ij` for i < j, row by row [m^2].
+    exchange: Vec<f64>,
+    /// Standard errors of these [m^2].
+    error: Vec<f32>,
+    /// How the pairs were found.
+    pub counts: PairCounts,
+    /// Rays cast.
+    pub rays: u64,
+    /// By object pair: exchange area [m^2] and its variance, summed over elements, whose points are independent.
+    objects: Vec<(f64, f64)>,
+    object_count: usize,
+}
+
+/// Everything that does not change from pair to pair.
+struct Shared<'a, 's> {
+    visibility: &'a Visibility<'s>,
+    mesh: &'a Mesh,
+    work: &'a PairWork<'a>,
+    elements: Vec<Element>,
+    faces: Vec<Bounded>,
+    /// Faces that may come between two faces, by pair.
+    between: Vec<Vec<u32>>,
+    bodies: Vec<Body>,
+    eps: f64,
+    objects: usize,
+}
+
+struct Element {
+    polygon: Polygon,
+    face: u32,
+    object: u32,
+    area: f64,
+}
+
+impl PairFactors {
+    /// Factors between all elements of a mesh.
+    pub fn new(visibility: &Visibility, mesh: &Mesh, work: &PairWork) -> PairFactors {
+        let scene = visibility.scene();
+        let shared = Shared::new(visibility, scene, mesh, work);
+        let n = mesh.len();
+        let rows: Vec<rows::Row> = (0..n)
+            .into_par_iter()
+            .map_init(rows::Scratch::default, |scratch, i| {
+                let row = shared.row(scratch, i);
+                (work.progress)(1);
+                row
+            })
+            .collect();
+        let m = scene.objects.len();
+        let mut all = PairFactors {
+            n,
+            areas: (0..n as u32).map(|e| mesh.area(e)).collect(),
+            exchange: Vec::with_capacity(n * n.saturating_sub(1) / 2),
+            error: Vec::with_capacity(n * n.saturating_sub(1) / 2),
+            counts: PairCounts::default(),
+            rays: 0,
+            objects: vec![(0.0, 0.0); m * m],
+            object_count: m,
+        };
+        for (i, row) in rows.into_iter().enumerate() {
+            all.exchange.extend_from_slice(&row.exchange);
+            all.error.extend_from_slice(&row.error);
+            all.rays += row.rays;
+            all.counts.add(&row.counts);
+            let a = shared.elements[i].object as usize;
+            for &(b, mean, variance) in &row.objects {
+                let b = b as usize;
+                // Both directions of a pair within one object are the same number twice.
+                let (mean, variance) = if a == b { (2.0 * mean, 4.0 * variance) } else { (mean, variance) };
+                let places = [a * m + b, b * m + a];
+                for k in &places[..if a == b { 1 } else { 2 }] {
+                    all.objects[*k].0 += mean;
+                    all.objects[*k].1 += variance;
+                }
+            }
+        }
+        all
+    }
+
+    /// Number of elements.
+    pub fn len(&self) -> usize {
+        self.n
+    }
+
+    /// No elements.
+    pub fn is_empty(&self) -> bool {
+        self.n == 0
+    }
+
+    /// Factors that are not zero, both directions.
+    pub fn stored(&self) -> usize {
+        2 * self.exchange.iter().filter(|g| **g > 0.0).count()
+    }
+
+    /// Bytes that the factors occupy.
+    pub fn bytes(&self) -> usize {
+        self.exchange.len() * size_of::<f64>() + self.error.len() * size_of::<f32>()
+    }
+
+    fn index(&self, i: usize, j: usize) -> Option<usize> {
+        let (i, j) = (i.min(j), i.max(j));
+        (i != j).then(|| i * (2 * self.n - i - 1) / 2 + j - i - 1)
+    }
+
+    /// Factor from element i to element j, and its standard error; dimensionless.
+    pub fn factor(&self, i: usize, j: usize) -> (f64, f64) {
+        self.index(i, j).map_or((0.0, 0.0), |k| {
+            (self.exchange[k] / self.areas[i], f64::from(self.error[k]) / self.areas[i])
+        })
+    }
+
+    /// The factors of row i that are not zero.
+    pub fn row(&self, i: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
+        (0..self.n).map(move |j| (j, self.factor(i, j).0)).filter(|(_, f)| *f > 0.0)
+    }
+
+    /// What the factors of row i leave of 1, shared between escaped and absorbed as the hemisphere rays of `row` were;
+    /// all escaped without these.
+    pub fn rest(&self, i: usize, row: Option<&RowSummary>) -> RowSummary {
+        let rest = (1.0 - self.row(i).map(|(_, f)| f).sum::<f64>()).max(0.0);
+        let mut found = RowSummary { exposed: 1.0, ..row.copied().unwrap_or_default() };
+        if row.is_none() {
+            found.escaped = Rgb::ONE;
+        }
+        let lost = found.escaped.x + found.absorbed.x;
+        if lost > 0.0 {
+            found.escaped *= rest / lost;
+            found.absorbed *= rest / lost;
+        }
+        found
+    }
+
+    /// Departure of row i from closure: factors and the rest that hemisphere rays found sum to 1.
+    pub fn closure_residual(&self, rows: Option<&ExchangeMatrix>) -> f64 {
+        let residual = |i: usize| {
+            let rest = self.rest(i, rows.and_then(|r| r.summary.get(i)));
+            let sum: f64 = self.row(i).map(|(_, f)| f).sum();
+            (sum + rest.escaped.x + rest.absorbed.x - 1.0).abs()
+        };
+        (0..self.n).map(residual).fold(0.0, f64::max)
+    }
+
+    /// Pairs of objects between which rays are blocked although their factor is not zero, and the number of rays that
+    /// looked: one from each element of a pair of objects to each of the other, or several where these are few.
+    pub fn blocked_objects(&self, visibility: &Visibility, mesh: &Mesh, seed: u32) -> (Vec<(u32, u32)>, u64) {
+        let scene = visibility.scene();
+        let object = |e: usize| scene.faces[mesh.place(e as u32).0 as usize].object;
+        let each = (LOOKS / (self.n * self.n).max(1)).clamp(1, 256) as u32;
+        let look = |i: usize| {
+            let (mut found, mut rays) = (BTreeSet::new(), 0);
+            for j in (i + 1..self.n).filter(|j| self.factor(i, *j).0 > 0.0) {
+                let pair = (object(i).min(object(j)), object(i).max(object(j)));
+                for k in 0..each {
+                    if found.contains(&pair) {
+                        break;
+                    }
+                    let x = sobol(k, 0, seed_of(&[seed, i as u32, j as u32]));
+                    let p = rows::point_on(scene, mesh, i as u32, x[0], x[1]);
+                    let q = rows::point_on(scene, mesh, j as u32, x[2], x[3]);
+                    let (np, nq) = (mesh.normal(scene, i as u32), mesh.normal(scene, j as u32));
+                    if (q - p).dot(np) > 0.0 && (p - q).dot(nq) > 0.0 {
+                        rays += 1;
+                        let [from, to] = [i, j].map(|e| mesh.place(e as u32).0);
+                        let ray = visibility.segment(visibility.leave(from, p, np), to, q, nq);
+                        if !visibility.unoccluded(&ray) {
+                            found.insert(pair);
+                        }
+                    }
+                }
+            }
+            (found, rays)
+        };
+        let join = |mut a: (BTreeSet<_>, u64), b: (BTreeSet<_>, u64)| {
+            a.0.extend(b.0);
+            (a.0, a.1 + b.1)
+        };
+        let (found, rays) = (0..self.n).into_par_iter().map(look).reduce(Default::default, join);
+        (found.into_iter().collect(), rays)
+    }
+
+    /// Largest relative standard error of a factor above `floor`.
+    pub fn largest_error(&self, floor: f64) -> f64 {
+        let mut worst = 0.0f64;
+        for i in 0..self.n {
+            for j in i + 1..self.n {
+                let (f, e) = self.factor(
+                    if self.areas[i] < self.areas[j] { i } else { j },
+                    if self.areas[i] < self.areas[j] { j } else { i },
+                );
+                if f > floor {
+                    worst = worst.max(e / f);
+                }
+            }
+        }
+        worst
+    }
+
+    /// Exchange area between objects a and b [m^2] and its standard error.
+    pub fn between_objects(&self, a: usize, b: usize) -> (f64, f64) {
+        let (exchange, variance) = self.objects[a * self.object_count + b];
+        (exchange, variance.sqrt())
+    }
+}
+
+impl PairCounts {
+    fn add(&mut self, other: &PairCounts) {
+        self.averted += other.averted;
+        self.free += other.free;
+        self.hidden += other.hidden;
+        self.shadows += other.shadows;
+        self.rays += other.rays;
+        self.missed += other.missed;
+    }
+}
+
+impl<'a, 's> Shared<'a, 's> {
+    fn new(
+        visibility: &'a Visibility<'s>,
+        scene: &Scene,
+        mesh: &'a Mesh,
+        work: &'a PairWork<'a>,
+    ) -> Shared<'a, 's> {
+        let faces: Vec<Bounded> =
+            scene.faces.iter().map(|f| Bounded::new(Polygon::of_face(scene, f))).collect();
+        let eps = TOUCHING * scene.radius;
+        let element = |e: u32| {
+            let (face, _, _) = mesh.place(e);
+            Element {
+                polygon: Polygon::of_element(scene, mesh, e),
+                face,
+                object: scene.faces[face as usize].object,
+                area: mesh.area(e),
+            }
+        };
+        let mut shared = Shared {
+            visibility,
+            mesh,
+            work,
+            elements: (0..mesh.len() as u32).map(element).collect(),
+            between: Vec::new(),
+            bodies: Vec::new(),
+            eps,
+            objects: scene.objects.len(),
+            faces,
+        };
+        if !work.unoccluded {
+            shared.between = shared.all_between();
+            shared.bodies = Body::all(scene, &shared.faces, eps);
+        }
+        shared
+    }
+
+    fn all_between(&self) -> Vec<Vec<u32>> {
+        let n = self.faces.len();
+        let list = |k: usize| {
+            let (i, j) = (k / n, k % n);
+            let mut found = Vec::new();
+            if i < j {
+                let (a, b) = (&self.faces[i].polygon, &self.faces[j].polygon);
+                if let Some((a, b)) = super::analytic::facing(a, b) {
+                    let mut shaft = Shaft::new(&a, &b, self.eps);
+                    let others = (0..n).filter(|q| *q != i && *q != j);
+                    found.extend(others.filter(|q| shaft.may_block(&self.faces[*q])).map(|q| q as u32));
+                }
+            }
+            found
+        };
+        (0..n * n).into_par_iter().with_min_len(64).map(list).collect()
+    }
+
+    /// Relative error that unoccluded factors are found to.
+    fn tolerance(&self) -> f64 {
+        self.work.tolerance.max(EXACT)
+    }
+}
