@@ -158,9 +158,12 @@ fn factors_are_shares_and_reciprocal() {
             let s = &matrix.summary[row];
             prop_assert!((sum + s.escaped.x + s.absorbed.x - 1.0).abs() < 1e-5, "row {row}: {sum} {s:?}");
         }
-        let mut largest = vec![0.0f64; scene.objects.len()];
+        // The table's rows: all fronts, then all backs.
+        let mut largest = vec![0.0f64; 2 * scene.objects.len()];
         for e in 0..mesh.len() as u32 {
-            let object = scene.faces[mesh.place(e).0 as usize].object as usize;
+            let (face, front, _) = mesh.place(e);
+            let object = scene.faces[face as usize].object as usize;
+            let object = if front { object } else { object + scene.objects.len() };
             largest[object] = largest[object].max(mesh.area(e));
         }
         let table = twopass::form_factor::ObjectTable::new(&scene, &mesh, &matrix, 0.0);

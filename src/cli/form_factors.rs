@@ -54,7 +54,10 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
     let scene = pipeline::stage("load", 0, observer, &mut stages, || (load(&args.scene), 0))?;
     scene.warnings.iter().for_each(|w| progress.warn(w));
     let settings = pass1(&args.pass1, &scene, args.common.seed);
-    let size = settings.element_size.unwrap_or_else(|| default_element_size(&scene));
+    // Exact factors between objects do not depend on elements: whole faces are few.
+    let whole = args.by_object && args.method == FactorMethodArg::Analytic;
+    let default = || if whole { f64::MAX } else { default_element_size(&scene) };
+    let size = settings.element_size.unwrap_or_else(default);
     let mut sides = if args.two_sided { Sides::all(&scene) } else { Sides::fronts(&scene) };
     if args.mirror != MirrorArg::None {
         sides = sides.without_purely_specular(&scene);
