@@ -194,15 +194,16 @@ fn rotations_give_standard_errors() {
     }
 }
 
-/// A room with a box and a screen: factors between objects as rays find them, 25 comparisons at 0.12 %, with what the
-/// hemi-cubes' own pixels and points may miss.
+/// A room with a box that stands on its floor (whose pieces round the box have corners on each other's edges) and a
+/// screen: factors between objects as rays find them, 9 comparisons at 0.12 %, with what the hemi-cubes' own pixels and
+/// points may miss.
 #[test]
 fn agrees_with_ray_casting() {
     let mut objects: Vec<(&str, Vec<Vec<Point>>)> =
         vec![("room", box_faces([0.0; 3], [2.0, 1.5, 1.0], true).into_iter().map(|(_, p)| p).collect())];
     objects.push((
         "box",
-        box_faces([0.4, 0.3, 0.1], [0.5, 0.4, 0.6], false).into_iter().map(|(_, p)| p).collect(),
+        box_faces([0.4, 0.3, 0.0], [0.5, 0.4, 0.6], false).into_iter().map(|(_, p)| p).collect(),
     ));
     objects.push(("screen", vec![vec![[1.3, 0.2, 0.1], [1.5, 1.0, 0.1], [1.4, 1.0, 0.8], [1.2, 0.2, 0.8]]]));
     let scene = scene(&objects);
@@ -230,7 +231,7 @@ fn agrees_with_ray_casting() {
     }
     // Backs block and take no part: the screen's back is somewhere, not outside.
     let escaped = format!("{:?}, by rays {:?}", own.escaped, rays.escaped);
-    assert!(own.escaped.iter().zip(&rays.escaped).all(|(a, b)| (a - b).abs() < 1e-6), "{escaped}");
+    assert!(own.escaped.iter().zip(&rays.escaped).all(|(a, b)| (a - b).abs() < 1e-12), "{escaped}");
     assert!(matrix.summary.iter().any(|s| s.absorbed.x > 0.0));
 }
 

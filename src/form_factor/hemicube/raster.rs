@@ -3,10 +3,10 @@
 //! A pixel's direction is `d = f + a r + b u` with the side's forward, right and up vectors. A convex polygon
 //! as seen from the origin is where all of its edge functions `d . (p_k x p_(k+1))` have the sign of `p_0 . N`
 //! (Olano and Greer 1997), also where some of its corners lie behind the side's plane: nothing has to be
-//! clipped. Edge functions are linear in the pixel, so each scanline's span is where straight lines cross it,
-//! and neighbours, which share their corners' coordinates to the bit, share those crossings: no pixel falls
-//! between two faces that meet along an edge, and none is drawn by both. The reciprocal depth `d . N / p_0 . N` is linear
-//! as well.
+//! clipped. Edge functions are linear in the pixel, so each scanline's span is where straight lines cross it.
+//! Spans reach [`SEAM`] beyond those crossings, so that no pixel falls between two faces that meet along an edge, also
+//! where the corners of one lie on the other's edge and rounding parts them; the z-buffer keeps one of the two. The
+//! reciprocal depth `d . N / p_0 . N` is linear as well.
 
 use super::delta::side_rows;
 use crate::mesh::{Grid, Mesh, NONE};
@@ -27,6 +27,9 @@ const BASES: [[DVec3; 3]; SIDES] = [
 
 /// Below this share of its size, a face's plane passes through the eye: it is seen edge-on, as nothing.
 const EDGE_ON: f64 = 1e-12;
+
+/// How far beyond its edges a face is drawn, in pixels: more than rounding moves an edge, and too little to count.
+const SEAM: f64 = 1e-6;
 
 /// What a run of pixels sees.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -389,15 +392,16 @@ struct Line {
 }
 
 impl Line {
-    /// The function `forward + a right + b up`.
+    /// The function `forward + a right + b up`, moved outwards by [`SEAM`].
     fn new(forward: f64, right: f64, up: f64, n: usize) -> Line {
         let half = 0.5 * n as f64;
         // a = x / half - 1 at x pixels from the left: zero where x = half - half (forward + b up) / right.
         if right.abs() <= 1e-18 * (forward.abs() + up.abs()) {
-            return Line { value: forward - right, up, ..Line::default() };
+            let seam = SEAM / half * (forward.abs() + up.abs());
+            return Line { value: forward - right + seam, up, ..Line::default() };
         }
         Line {
-            at: half - half * (forward / right),
+            at: half - half * (forward / right) - SEAM.copysign(right),
             by: -half * (up / right),
             inside: if right > 0.0 { 1 } else { -1 },
             value: 0.0,
@@ -405,13 +409,11 @@ impl Line {
         }
     }
 
-    /// Narrows a row's span of pixels to those whose middles lie inside. A middle on the line belongs to the
-    /// face on its right (or, on a parallel line, to the one above).
+    /// Narrows a row's span of pixels to those whose middles lie inside.
     #[inline]
     fn cut(&self, b: f64, n: usize, from: &mut usize, to: &mut usize) {
         if self.inside == 0 {
-            let value = self.value + self.up * b;
-            if value < 0.0 || (value == 0.0 && self.up <= 0.0) {
+            if self.value + self.up * b < 0.0 {
                 *to = 0;
             }
             return;
