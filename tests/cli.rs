@@ -135,7 +135,11 @@ fn scenes_that_cannot_be_rendered() {
         "at most",
         "pixels",
     ]);
+    camera("orign = [0, 1, 0]\ntarget = [0, 0, 1]")
+        .render_fails(&["scene.toml:3", "did you mean \"origin\""]);
     let room = Files::room();
+    let args = ["render", "scene.toml", "-o", "a.exr", "--size", "640"];
+    room.fails(&args, 2, &["WIDTHxHEIGHT"]);
     let args = ["render", "scene.toml", "-o", "a.exr", "--camera", "camra"];
     room.fails(&args, 1, &["no camera \"camra\"", "did you mean \"camera\""]);
 

@@ -1,5 +1,6 @@
 //! Arguments as typed.
 
+use crate::scene::within_size;
 use clap::{Args as ClapArgs, Parser, Subcommand, ValueEnum};
 use std::ops::Range;
 use std::path::PathBuf;
@@ -61,6 +62,9 @@ pub struct RenderArgs {
     /// Camera of the scene file [default: the first].
     #[arg(long, value_name = "NAME")]
     pub camera: Option<String>,
+    /// Pixels across and down [default: the camera's]
+    #[arg(long, value_name = "WxH", value_parser = size)]
+    pub size: Option<[u32; 2]>,
     /// How light is found.
     #[arg(long, value_enum, default_value_t = MethodArg::TwoPass)]
     pub method: MethodArg,
@@ -331,6 +335,14 @@ fn count(s: &str) -> Result<u32, String> {
     match s.parse::<u32>() {
         Ok(n) if n > 0 && n <= 1 << 30 => Ok(n),
         _ => Err("must be a whole number from 1 to 1073741824".into()),
+    }
+}
+
+fn size(s: &str) -> Result<[u32; 2], String> {
+    let parsed = s.split_once('x').and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
+    match parsed {
+        Some(size) if within_size(size) => Ok(size),
+        _ => Err("must be WIDTHxHEIGHT, for example 640x480, of at most 65536 each and 2^28 pixels".into()),
     }
 }
 

@@ -27,7 +27,8 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     let scene = pipeline::stage("load", 0, observer, &mut stages, || (load(&args.scene), 0))?;
     let mut warnings = scene.warnings.clone();
     scene.warnings.iter().for_each(|w| progress.warn(w));
-    let camera = scene.camera(args.camera.as_deref())?.clone();
+    let mut camera = scene.camera(args.camera.as_deref())?.clone();
+    camera.size = args.size.unwrap_or(camera.size);
     let settings = settings(args, &scene);
 
     let device = Device::new(rayon::current_num_threads())?;

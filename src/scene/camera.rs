@@ -42,6 +42,12 @@ pub struct CameraFrame {
     half: [f64; 2],
 }
 
+/// Whether an image of that many pixels across and down can be made.
+pub fn within_size([width, height]: [u32; 2]) -> bool {
+    let side = 1..=MAX_SIZE;
+    side.contains(&width) && side.contains(&height) && u64::from(width) * u64::from(height) <= MAX_PIXELS
+}
+
 impl Camera {
     /// Reads `[camera]`; `index` (from 0) names a camera that has no name when there are several.
     pub(super) fn read(
@@ -56,7 +62,7 @@ impl Camera {
         section.label = format!("camera \"{name}\"");
         section.warn_unknown(&KEYS, warnings);
         let required = |key: &str| {
-            let missing = || section.error(format!("has no {key}; add {key} = [x, y, z]"));
+            let missing = || section.missing(key, &KEYS, &format!("add {key} = [x, y, z]"));
             section.get(key).ok_or_else(missing)?.vector()
         };
         let camera = Camera {
@@ -68,7 +74,7 @@ impl Camera {
                 fov => Err(e.error(format!("must lie between 0 and 180 degrees, is {fov}"))),
             })?,
             size: section.get("size").map_or(Ok([512, 512]), |e| match e.size(MAX_SIZE)? {
-                [w, h] if u64::from(w) * u64::from(h) <= MAX_PIXELS => Ok([w, h]),
+                size if within_size(size) => Ok(size),
                 [w, h] => Err(e.error(format!("must make at most {MAX_PIXELS} pixels, is {w} x {h}"))),
             })?,
             name,

@@ -74,6 +74,20 @@ impl<'a> Section<'a> {
         self.doc.error(self.line, prefixed(&self.label, message))
     }
 
+    /// An error for a required key that is not there; `help` says what to add. Names a key that looks like a slip for it.
+    pub fn missing(&self, key: &str, known: &[&str], help: &str) -> Error {
+        let slip = self
+            .entries()
+            .find(|e| !known.contains(&e.key) && nearest(e.key, known.iter().copied()) == Some(key));
+        match slip {
+            Some(e) => {
+                let message = format!("has no {key}; unknown key \"{}\": did you mean \"{key}\"?", e.key);
+                self.doc.error(e.line, prefixed(&self.label, message))
+            }
+            None => self.error(format!("has no {key}; {help}")),
+        }
+    }
+
     /// Warns about each key that is not in `known`, with the nearest one that is.
     pub fn warn_unknown(&self, known: &[&str], warnings: &mut Vec<String>) {
         let mut unknown: Vec<_> = self.entries().filter(|e| !known.contains(&e.key)).collect();

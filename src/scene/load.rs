@@ -93,8 +93,8 @@ fn load_toml(doc: &Document<'_>) -> Result<Scene> {
     let overrides = read_overrides(&top, &mut plan.warnings)?;
 
     let geometry = top.get("geometry");
-    let geometry = geometry
-        .ok_or_else(|| Error::parse(doc.path, None, "has no geometry; add geometry = [\"FILE.obj\"]"))?;
+    let geometry =
+        geometry.ok_or_else(|| top.missing("geometry", &TOP_KEYS, "add geometry = [\"FILE.obj\"]"))?;
     let names = geometry.texts()?;
     if names.is_empty() {
         return Err(geometry.error("names no file"));

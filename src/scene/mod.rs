@@ -16,7 +16,7 @@ mod obj;
 mod obj_text;
 mod polygon;
 
-pub use camera::{Camera, CameraFrame};
+pub use camera::{Camera, CameraFrame, within_size};
 pub use features::Features;
 pub use load::load;
 pub use material::Material;
