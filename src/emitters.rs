@@ -3,9 +3,13 @@
 //! A flat perfect mirror shows the sources where their mirror images are: the paper's way to
 //! couple specular and diffuse surfaces. Each sampled point of an emitter is also reflected in
 //! every mirror plane, and counts where the image is seen through the mirror's outline.
+//!
+//! Radiance everywhere is radiance over index squared ([`crate::bsdf`]), that of an emitter embedded in glass
+//! too: its power is what its material says, and of the radiance inside, `1 / n^2` is seen from outside.
 
 use crate::bsdf::MIRROR_ALPHA;
 use crate::color::{self, Rgb};
+use crate::geometry::Frame;
 use crate::mesh::side_index;
 use crate::sampling;
 use crate::scene::Scene;
@@ -18,6 +22,8 @@ const MAX_MIRRORS: usize = 32;
 /// A receiver this near to a mirror's plane, as a share of the scene's radius, is part of it.
 const ON_MIRROR: f64 = 1e-9;
 const NONE: u32 = u32::MAX;
+/// Rays that find the medium in front of an emitter, in scenes with glass.
+const MEDIUM_RAYS: u32 = 32;
 
 /// All emitting sides of a scene, and the planes of its flat mirrors.
 #[derive(Debug, Clone)]
@@ -32,7 +38,10 @@ pub struct Emitters {
 #[derive(Debug, Clone, Copy)]
 struct EmitterSide {
     face: u32,
+    /// Over the squared index of the medium [W m^-2 sr^-1].
     radiance: Rgb,
+    /// Squared index of the medium in front of it: above 1 inside of glass.
+    index2: f64,
     normal: DVec3,
     /// Probability of choosing the side over its area [m^-2].
     density: f64,
@@ -52,7 +61,7 @@ pub struct EmitterSample {
     pub point: DVec3,
     /// Unit normal towards the emitting side.
     pub normal: DVec3,
-    /// Emitted radiance [W m^-2 sr^-1].
+    /// Emitted radiance over the squared index of the medium [W m^-2 sr^-1].
     pub radiance: Rgb,
     /// Density per area of the emitters [m^-2].
     pub density: f64,
@@ -84,7 +93,9 @@ pub struct Connection {
 
 impl Emitters {
     /// The emitters and flat mirrors of a scene.
-    pub fn new(scene: &Scene) -> Emitters {
+    pub fn new(visibility: &Visibility) -> Emitters {
+        let scene = visibility.scene();
+        let glass = scene.materials.iter().any(|m| m.bends());
         let mut sides = Vec::new();
         let mut index = vec![NONE; 2 * scene.faces.len()];
         for (k, face) in scene.faces.iter().enumerate() {
@@ -93,7 +104,15 @@ impl Emitters {
                 if radiance.max_element() > 0.0 {
                     index[side_index(k as u32, front)] = sides.len() as u32;
                     let normal = if front { face.normal } else { -face.normal };
-                    sides.push(EmitterSide { face: k as u32, radiance, normal, density: face.area });
+                    let index2 = if glass { medium_index2(visibility, k as u32, normal) } else { 1.0 };
+                    let radiance = radiance / index2;
+                    sides.push(EmitterSide {
+                        face: k as u32,
+                        radiance,
+                        index2,
+                        normal,
+                        density: face.area * index2,
+                    });
                 }
             }
         }
@@ -102,10 +121,16 @@ impl Emitters {
         for side in &mut sides {
             sum += side.density * color::mean(side.radiance) / total;
             cumulative.push(sum);
-            side.density = color::mean(side.radiance) / total;
+            side.density = color::mean(side.radiance) * side.index2 / total;
         }
         let (mirrors, mirror_of) = mirror_planes(scene);
         Emitters { sides, cumulative, index, mirrors, mirror_of }
+    }
+
+    /// Power that all emitters send out \[W\].
+    pub fn power(&self, scene: &Scene) -> Rgb {
+        let power = |s: &EmitterSide| PI * s.radiance * s.index2 * scene.faces[s.face as usize].area;
+        self.sides.iter().map(power).sum()
     }
 
     /// The scene has no emitter.
@@ -128,7 +153,8 @@ impl Emitters {
         self.mirror_of.get(face as usize).is_some_and(|m| *m != NONE)
     }
 
-    /// Radiance and area density of the side that a ray met; none if it does not emit.
+    /// Radiance (over the squared index of the medium) and area density of the side that a ray met; none if it does not
+    /// emit.
     #[inline]
     pub fn at(&self, face: u32, front: bool) -> Option<(Rgb, f64)> {
         match self.index[side_index(face, front)] {
@@ -204,6 +230,33 @@ impl Emitters {
         let side = if n.dot(origin.as_dvec3() - window) > 0.0 { n } else { -n };
         v.unoccluded(&v.segment(origin, face, window, side))
             && v.unoccluded(&v.segment(v.leave(face, window, side), s.face, s.point, s.normal))
+    }
+}
+
+/// Squared index of the medium in front of a side of a face: that of the glass whose inside most of its rays meet first.
+fn medium_index2(visibility: &Visibility, face: u32, normal: DVec3) -> f64 {
+    let scene = visibility.scene();
+    let frame = Frame::new(normal);
+    let (p0, e1, e2) = scene.face_frame(&scene.faces[face as usize]);
+    let mut inside = std::collections::BTreeMap::new();
+    let mut votes = 0u32;
+    for k in 0..MEDIUM_RAYS {
+        let [u, v, a, b] = sampling::sobol(k, 0, 0);
+        let (u, v) = if scene.faces[face as usize].is_triangle() { sampling::triangle(u, v) } else { (u, v) };
+        let origin = visibility.leave(face, p0 + u * e1 + v * e2, normal);
+        let direction = frame.to_scene(sampling::cosine_hemisphere(a, b)).as_vec3();
+        let Some(hit) = visibility.closest(origin, direction, face) else { continue };
+        let material = scene.material(&scene.faces[hit.face as usize]);
+        if material.bends() {
+            votes += 1;
+            if !hit.front {
+                *inside.entry(material.ior.to_bits()).or_insert(0u32) += 1;
+            }
+        }
+    }
+    match inside.into_iter().max_by_key(|(_, n)| *n) {
+        Some((index, n)) if 2 * n > votes => f64::from_bits(index).powi(2),
+        _ => 1.0,
     }
 }
 

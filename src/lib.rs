@@ -15,7 +15,7 @@
 //! let scene = scene::load("scenes/cornell/cornell.toml".as_ref())?;
 //! let device = Device::new(1)?;
 //! let visibility = Visibility::new(&device, &scene)?;
-//! let emitters = Emitters::new(&scene);
+//! let emitters = Emitters::new(&visibility);
 //!
 //! // Far fewer rays and elements than a good picture needs.
 //! let camera = scene::Camera { size: [16, 16], ..scene.camera(None)?.clone() };

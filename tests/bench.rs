@@ -273,7 +273,7 @@ fn references_are_cached() {
     let context = Context { settings: &settings, device: &device, observer: &observer };
     let scene = bench::embedded("cornell").unwrap();
     let visibility = twopass::visibility::Visibility::new(&device, &scene).unwrap();
-    let emitters = twopass::emitters::Emitters::new(&scene);
+    let emitters = twopass::emitters::Emitters::new(&visibility);
     let camera = twopass::scene::Camera { size: [24, 24], ..scene.cameras[0].clone() };
     let get = |spp| bench::reference::reference(&context, &visibility, &emitters, &camera, spp).unwrap();
     let first = get(16);

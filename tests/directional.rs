@@ -14,7 +14,7 @@ use twopass::visibility::Visibility;
 fn directional(scene: &Scene, directions: u32, size: f64, seed: u32) -> Image {
     let device = device();
     let visibility = Visibility::new(&device, scene).expect("tree");
-    let emitters = Emitters::new(scene);
+    let emitters = Emitters::new(&visibility);
     let pass1 = Pass1 { rays: 1024, element_size: Some(size), seed };
     let (what, stages) = ((&pass1, directions), &mut Vec::new());
     let solution = pipeline::solve_directional(&visibility, &emitters, &scene.cameras, what, &|_| {}, stages);
@@ -68,7 +68,7 @@ fn agrees_with_path_tracing() {
     let scene = files.load();
     let device = device();
     let visibility = Visibility::new(&device, &scene).expect("tree");
-    let emitters = Emitters::new(&scene);
+    let emitters = Emitters::new(&visibility);
     let differences: Vec<f64> = (0..SEEDS)
         .map(|seed| {
             let settings = Settings {

@@ -20,7 +20,7 @@ fn compare(name: &str, rays: u32, settings: &Settings) -> Option<Comparison> {
     let scene = load(&folder.join(format!("{name}.toml"))).expect("scene");
     let device = device();
     let visibility = Visibility::new(&device, &scene).expect("tree");
-    let emitters = Emitters::new(&scene);
+    let emitters = Emitters::new(&visibility);
     let solution = matches!(settings.method, Method::TwoPass(_)).then(|| {
         let pass1 = Pass1 { rays, ..Pass1::of(&scene) };
         pipeline::solve(&visibility, &emitters, &scene.cameras, &pass1, &|_| {}, &mut Vec::new())

@@ -80,7 +80,7 @@ fn solve(scene: &Scene, rays: u32, element_size: f64, seed: u32) -> Pass1Result 
     let device = Device::new(1).expect("Embree");
     let visibility = Visibility::new(&device, scene).expect("a tree");
     let settings = Pass1 { rays, element_size: Some(element_size), seed };
-    pipeline::solve(&visibility, &Emitters::new(scene), &[], &settings, &|_| {}, &mut Vec::new())
+    pipeline::solve(&visibility, &Emitters::new(&visibility), &[], &settings, &|_| {}, &mut Vec::new())
         .expect("a solution")
 }
 

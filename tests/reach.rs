@@ -93,7 +93,7 @@ fn solve(scene: &Scene, rays: u32, size: f64) -> Pass1Result {
     let device = Device::new(2).unwrap();
     let visibility = Visibility::new(&device, scene).unwrap();
     let settings = Pass1 { rays, element_size: Some(size), seed: 1 };
-    let emitters = Emitters::new(scene);
+    let emitters = Emitters::new(&visibility);
     pipeline::solve(&visibility, &emitters, &scene.cameras, &settings, &|_| (), &mut Vec::new()).unwrap()
 }
 

@@ -23,7 +23,7 @@ const GATHER: Method = Method::TwoPass(Quality::Gather);
 fn picture(scene: &Scene, camera: &str, pass1: (u32, f64), settings: &Settings) -> Image {
     let device = device();
     let visibility = Visibility::new(&device, scene).expect("tree");
-    let emitters = Emitters::new(scene);
+    let emitters = Emitters::new(&visibility);
     let camera = scene.camera(Some(camera)).expect("camera");
     let solution = matches!(settings.method, Method::TwoPass(_) | Method::Radiosity).then(|| {
         let pass1 = Pass1 { rays: pass1.0, element_size: Some(pass1.1), seed: settings.seed };
@@ -387,6 +387,31 @@ fn tinted_glass_absorbs_at_each_crossing() {
                 assert!((m - exact).abs() <= T15 * e + 1e-4, "{method:?}: {m} {exact}");
             }
         }
+    }
+}
+
+/// A black lamp embedded in glass, seen from outside at normal incidence: of its radiance (1 - F) / n^2 leaves.
+#[test]
+fn lamp_in_glass_is_seen_dimmer() {
+    let mut files = Files::default();
+    files.material("glass", "diffuse = 0\nspecular_transmission = 1\nior = 1.5");
+    files.diffuse("light", &[0.0], &[PI]);
+    for (name, points) in box_faces([-1.0; 3], [2.0; 3], false) {
+        files.polygon(name, "glass", &points);
+    }
+    files.polygon(
+        "light",
+        "light",
+        &[[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5, 0.5, 0.0]],
+    );
+    files.toml(&camera("c", [0.0, 0.0, 5.0], [0.0; 3], [0.0, 1.0, 0.0], 0.1, 4));
+    let scene = files.load();
+    let exact = 0.96 / 2.25;
+    for method in [Method::Whitted, Method::Path, GATHER] {
+        let images = pictures(&scene, "c", (64, 0.5), &settings(method, 64));
+        let (m, e) = mean_error(&means(&images));
+        eprintln!("{method:?}: {m:.5} +- {e:.5}, exact {exact:.5}");
+        assert!((m - exact).abs() <= T15 * e + 1e-4, "{method:?}: {m} {exact}");
     }
 }
 

@@ -51,7 +51,7 @@ fn compare(
     let scene = load(&file(".toml"))?;
     let camera = scene.camera(None)?;
     let visibility = Visibility::new(context.device, &scene)?;
-    let emitters = Emitters::new(&scene);
+    let emitters = Emitters::new(&visibility);
     let own = reference(context, &visibility, &emitters, camera, spp)?;
     let half = |path: &Path| -> Result<Image> {
         let image = read_exr(path)?;

@@ -32,7 +32,7 @@ fn scene(context: &Context, name: &str, found: &mut Measurements) -> Result<()> 
     let mut camera = scene.camera(None)?.clone();
     camera.size = [width, width * camera.size[1] / camera.size[0]];
     let visibility = Visibility::new(context.device, &scene)?;
-    let emitters = Emitters::new(&scene);
+    let emitters = Emitters::new(&visibility);
     let reference = reference(context, &visibility, &emitters, &camera, context.choose(1024, 2048))?;
     let stage = View {
         context,

@@ -36,7 +36,7 @@ fn solve(
     let start = Instant::now();
     let visibility = Visibility::new(context.device, scene)?;
     let settings = Pass1 { rays, element_size: Some(element_size), seed };
-    let emitters = Emitters::new(scene);
+    let emitters = Emitters::new(&visibility);
     let solved = pipeline::solve(&visibility, &emitters, &[], &settings, &|_| (), &mut Vec::new())?;
     Ok((solved.solution, start.elapsed().as_secs_f64()))
 }

@@ -34,7 +34,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     let device = Device::new(rayon::current_num_threads())?;
     let visibility =
         pipeline::stage("build", 0, observer, &mut stages, || (Visibility::new(&device, &scene), 0))?;
-    let emitters = Emitters::new(&scene);
+    let emitters = Emitters::new(&visibility);
     pipeline::require_light(&scene, &emitters)?;
     let pass1_settings = pass1(&args.pass1, &scene, args.common.seed);
     let cameras = std::slice::from_ref(&camera);

@@ -27,7 +27,7 @@ pub fn run(args: &SolveArgs) -> Result<()> {
     let device = Device::new(rayon::current_num_threads())?;
     let visibility =
         pipeline::stage("build", 0, observer, &mut stages, || (Visibility::new(&device, &scene), 0))?;
-    let emitters = Emitters::new(&scene);
+    let emitters = Emitters::new(&visibility);
     let result = pipeline::solve(&visibility, &emitters, &scene.cameras, &settings, observer, &mut stages)?;
     result.warnings.iter().for_each(|w| progress.warn(w));
     let versions = Versions::new(&device);

@@ -16,11 +16,14 @@ pub struct RowSummary {
     pub dropped: Rgb,
     /// Share of the element that lies open; the rest is covered by other surfaces.
     pub exposed: f64,
+    /// Mean squared index of refraction of the medium that its rays start in: above 1 for what lies inside of glass.
+    /// Exchange there is reciprocal in `A_i n_i^2 F_ij`.
+    pub index2: f64,
 }
 
 impl Default for RowSummary {
     fn default() -> RowSummary {
-        RowSummary { escaped: Rgb::ZERO, absorbed: Rgb::ZERO, dropped: Rgb::ZERO, exposed: 0.0 }
+        RowSummary { escaped: Rgb::ZERO, absorbed: Rgb::ZERO, dropped: Rgb::ZERO, exposed: 0.0, index2: 1.0 }
     }
 }
 
@@ -161,7 +164,8 @@ impl ExchangeMatrix {
             (0..self.len()).map(|e| scene.faces[mesh.place(e as u32).0 as usize].object as usize).collect();
         let mut exchange = std::collections::BTreeMap::<(usize, usize), f64>::new();
         for row in 0..self.len() {
-            let area = mesh.area(row as u32) * self.summary[row].exposed;
+            let s = &self.summary[row];
+            let area = mesh.area(row as u32) * s.exposed * s.index2;
             for (j, f) in self.row(row) {
                 *exchange.entry((object[row], object[j])).or_default() += area * f.x;
             }

@@ -297,6 +297,7 @@ impl Shared<'_, '_> {
             row.escaped *= scale;
             row.absorbed *= scale;
             row.dropped *= scale;
+            row.index2 = 1.0 + (row.index2 - 1.0) * scale;
             row.exposed = open as f64 / total as f64;
         }
         block.summary.push(row);
@@ -431,6 +432,10 @@ impl Shared<'_, '_> {
     ) {
         let scene = self.visibility.scene();
         let first = direction.as_dvec3();
+        let met = scene.material(&scene.faces[hit.face as usize]);
+        if met.bends() && !hit.front {
+            row.index2 += met.ior * met.ior - 1.0;
+        }
         let mut absorbed = Rgb::ZERO;
         let end = self.chains.follow(Carried::Radiance, (origin, direction, hit), numbers, |link| {
             let j = self.mesh.element(link.hit.face, link.hit.front, link.hit.u, link.hit.v);

@@ -93,7 +93,7 @@ fn solve(scene: &Scene, rays: u32, element_size: Option<f64>, seed: u32) -> Resu
     let device = Device::new(0)?;
     let visibility = Visibility::new(&device, scene)?;
     let settings = Pass1 { rays, element_size, seed };
-    pipeline::solve(&visibility, &Emitters::new(scene), &[], &settings, &|_| (), &mut Vec::new())
+    pipeline::solve(&visibility, &Emitters::new(&visibility), &[], &settings, &|_| (), &mut Vec::new())
 }
 
 /// An image by a method, after pass 1 where the method needs it.
@@ -106,7 +106,7 @@ fn picture(
 ) -> Result<Image> {
     let device = Device::new(0)?;
     let visibility = Visibility::new(&device, scene)?;
-    let emitters = Emitters::new(scene);
+    let emitters = Emitters::new(&visibility);
     let camera = scene.camera(None)?.clone();
     let settings = Pass1 { rays, element_size, seed };
     let needs_solution = !matches!(method, render::Method::Whitted | render::Method::Path);

@@ -6,6 +6,7 @@ use crate::emitters::Emitters;
 use crate::form_factor::ExchangeMatrix;
 use crate::mesh::Mesh;
 use crate::scene::Scene;
+use rayon::prelude::*;
 use serde::Serialize;
 use std::f64::consts::PI;
 
@@ -47,7 +48,7 @@ impl Ledger {
         replicas: &Replicas,
     ) -> Ledger {
         let mut sum = Ledger {
-            emitted: Rgb::ZERO,
+            emitted: emitters.power(scene),
             environment: Rgb::ZERO,
             absorbed: Rgb::ZERO,
             absorbed_specular: Rgb::ZERO,
@@ -56,26 +57,23 @@ impl Ledger {
             residual: Rgb::ZERO,
             residual_error: Rgb::ZERO,
         };
-        for (k, face) in scene.faces.iter().enumerate() {
-            for front in [true, false] {
-                if let Some((radiance, _)) = emitters.at(k as u32, front) {
-                    sum.emitted += PI * radiance * face.area;
-                }
-            }
-        }
         // Share of the irradiance of each element that ends in the sums below.
         let mut taken = vec![Rgb::ZERO; mesh.len()];
+        let mut left = vec![Rgb::ZERO; mesh.len()];
+        let mut kept = vec![Rgb::ONE; mesh.len()];
         for e in 0..mesh.len() {
             let s = &matrix.summary[e];
-            let area = mesh.area(e as u32) * s.exposed;
+            // Radiance is carried over index squared.
+            let area = mesh.area(e as u32) * s.exposed * s.index2;
             let material = scene.material(&scene.faces[mesh.place(e as u32).0 as usize]);
-            let lost = Rgb::ONE
-                - material.diffuse
-                - material.diffuse_transmission
-                - crate::form_factor::pass_on(material) * f64::from(u8::from(material.is_specular()));
+            if material.is_specular() {
+                kept[e] -= crate::form_factor::pass_on(material);
+            }
+            let lost = kept[e] - material.diffuse - material.diffuse_transmission;
             sum.absorbed += area * irradiance[e] * lost;
             taken[e] = area * (lost + material.diffuse * (s.absorbed + s.escaped + s.dropped));
             let leaving = area * (emitted[e] + reflected[e]);
+            left[e] = leaving;
             sum.absorbed_specular += leaving * s.absorbed;
             sum.escaped += leaving * s.escaped;
             sum.dropped += leaving * s.dropped;
@@ -90,9 +88,26 @@ impl Ledger {
             ratio(difference.y, input.y),
             ratio(difference.z, input.z),
         );
+        // Two sources of noise: the irradiances', and that of the shares of each row that no element takes, which are 1 less
+        // what elements take.
         let error = replicas.of(|h| h.iter().zip(&taken).map(|(h, t)| *h * *t).sum());
+        let shares: Rgb = (0..mesh.len())
+            .into_par_iter()
+            .map(|e| left[e] * left[e] * mean_variance(&matrix.multiply_batches(e, &kept)))
+            .collect::<Vec<_>>()
+            .into_iter()
+            .sum();
+        let error = (error * error + shares).map(f64::sqrt);
         sum.residual_error =
             Rgb::new(ratio(error.x, input.x), ratio(error.y, input.y), ratio(error.z, input.z));
         sum
     }
+}
+
+/// Variance of the mean of independent samples; NaN for a single one.
+fn mean_variance(samples: &[Rgb]) -> Rgb {
+    let n = samples.len() as f64;
+    let mean = samples.iter().copied().sum::<Rgb>() / n;
+    let squares: Rgb = samples.iter().map(|s| (*s - mean) * (*s - mean)).sum();
+    squares / (n * (n - 1.0))
 }

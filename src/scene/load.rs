@@ -356,9 +356,17 @@ fn number_material(
     if let Some(over) = over {
         over.apply(&mut material);
     }
+    let fresnel = material.leave_reflection_to_fresnel();
     let excess = material.conserve_energy();
     if let Some(known) = materials.iter().position(|m| *m == material) {
         return known as u32;
+    }
+    if fresnel {
+        warnings.push(format!(
+            "material \"{}\": specular and specular_transmission sum to more than 1; its specular is left out, since glass \
+             reflects by Fresnel's equations",
+            material.name
+        ));
     }
     if let Some(sum) = excess {
         warnings.push(format!(

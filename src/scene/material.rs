@@ -70,6 +70,20 @@ impl Material {
         Some(sum)
     }
 
+    /// Leaves out the specular albedo of glass that cannot come on top of what it transmits: those who write `specular = 1`
+    /// beside `specular_transmission = 1` mean the tint of the Fresnel reflection, which glass has of itself. Returns
+    /// whether that was so.
+    pub fn leave_reflection_to_fresnel(&mut self) -> bool {
+        let meant = self.is_glass()
+            && self.ior != 1.0
+            && self.specular != Rgb::ZERO
+            && (self.specular + self.specular_transmission).max_element() > 1.0 + 1e-9;
+        if meant {
+            self.specular = Rgb::ZERO;
+        }
+        meant
+    }
+
     /// GGX width: roughness squared.
     pub fn alpha(&self) -> f64 {
         self.roughness * self.roughness
@@ -99,6 +113,11 @@ impl Material {
     /// Refracts.
     pub fn is_glass(&self) -> bool {
         self.specular_transmission != Rgb::ZERO
+    }
+
+    /// Is the surface of a body of another index than its surroundings: a window or a thin sheet is not.
+    pub fn bends(&self) -> bool {
+        self.is_glass() && !self.thin && self.ior != 1.0
     }
 
     /// Emits light.
@@ -135,6 +154,18 @@ mod tests {
         assert_eq!(m.specular_transmission, Rgb::new(0.25, 0.25, 0.125));
         assert_eq!(m.emission, Rgb::splat(5.0));
         assert_eq!(m.conserve_energy(), None);
+    }
+
+    #[test]
+    fn glass_with_a_reflectance_of_one_is_glass() {
+        let mut m = Material::new("m");
+        (m.specular, m.specular_transmission) = (Rgb::ONE, Rgb::ONE);
+        assert!(m.leave_reflection_to_fresnel());
+        assert_eq!((m.specular, m.conserve_energy()), (Rgb::ZERO, None));
+        // Silvered glass: half a mirror, half glass.
+        (m.specular, m.specular_transmission) = (Rgb::splat(0.5), Rgb::splat(0.5));
+        assert!(!m.leave_reflection_to_fresnel());
+        assert_eq!(m.specular, Rgb::splat(0.5));
     }
 
     #[test]

@@ -174,7 +174,7 @@ pub fn solve(scene: &Scene, rays: u32, element_size: f64, seed: u32) -> twopass:
     let device = device();
     let visibility = Visibility::new(&device, scene)?;
     let settings = Pass1 { rays, element_size: Some(element_size), seed };
-    pipeline::solve(&visibility, &Emitters::new(scene), &[], &settings, &|_| {}, &mut Vec::new())
+    pipeline::solve(&visibility, &Emitters::new(&visibility), &[], &settings, &|_| {}, &mut Vec::new())
 }
 
 /// Mean over the area of one side of an object.
