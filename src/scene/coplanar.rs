@@ -2,10 +2,11 @@
 //!
 //! A ray that meets two surfaces at one distance hits either at random, and light counts twice: a lamp
 //! drawn into the plane of the ceiling, a box that stands on the floor, a wall that two rooms both have. Of each
-//! overlap one face keeps its part and the others are cut. Emitters keep theirs first, then the smaller polygon: what was put
-//! on a larger surface was meant to be seen.
+//! overlap one face keeps its part and the others are cut. Emitters keep theirs first, bodies of glass last: where one stands
+//! on a table, the table's top is seen through it, in optical contact. Of two alike the smaller polygon keeps its part: what
+//! was put on a larger surface was meant to be seen.
 
-use super::{Face, polygon};
+use super::{Face, Material, polygon};
 use glam::{DVec2, DVec3};
 use std::collections::HashMap;
 
@@ -27,8 +28,17 @@ pub(super) struct Cut {
     pub kept: Vec<u32>,
 }
 
-/// Cuts overlapping faces; new points are added to `points`. `emits` tells the emitting materials.
-pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, emits: &[bool]) -> Cut {
+/// Which materials keep their part before others, the lowest first.
+fn precedence(material: &Material) -> u8 {
+    match () {
+        () if material.is_emitter() => 0,
+        () if material.bends() => 2,
+        () => 1,
+    }
+}
+
+/// Cuts overlapping faces; new points are added to `points`.
+pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &[Material]) -> Cut {
     let mut result = Cut::default();
     let used = || faces.iter().flat_map(|f| f.vertices).map(|v| points[v as usize]);
     let (low, high) =
@@ -50,7 +60,7 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, emits: &[bool]
         flats.sort_by(|a, b| a.low.x.total_cmp(&b.low.x));
         let rank = |k: u32| {
             let f = &faces[k as usize];
-            (!emits.get(f.material as usize).copied().unwrap_or(false), polygon_area[&f.polygon], k)
+            (precedence(&materials[f.material as usize]), polygon_area[&f.polygon], k)
         };
         let mut losses: HashMap<u32, Vec<u32>> = HashMap::new();
         for (i, a) in flats.iter().enumerate() {
@@ -250,6 +260,7 @@ fn subtract(face: &Face, piece: &[DVec3], cutter: &[DVec2]) -> Vec<Vec<DVec3>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::color::Rgb;
 
     fn square(points: &mut Vec<DVec3>, [x0, x1]: [f64; 2], [y0, y1]: [f64; 2], z: f64, polygon: u32) -> Face {
         let first = points.len() as u32;
@@ -269,18 +280,30 @@ mod tests {
         faces.iter().filter(|f| f.object == object).map(|f| polygon::area_vector(&corners(f, points)).z).sum()
     }
 
+    /// `kinds`: `d`iffuse, `e`mitting, `g`lass.
+    fn materials(kinds: &str) -> Vec<Material> {
+        let make = |kind: char| match kind {
+            'e' => Material { emission: Rgb::ONE, ..Material::grey("e") },
+            'g' => Material { specular_transmission: Rgb::ONE, ..Material::new("g") },
+            _ => Material::grey("d"),
+        };
+        kinds.chars().map(make).collect()
+    }
+
     #[test]
-    fn the_smaller_keeps_its_part_and_emitters_come_first() {
-        for (emits, areas) in [([false, false], [0.84, 0.16]), ([true, false], [1.0, 0.0])] {
+    fn the_smaller_keeps_its_part_but_emitters_come_first_and_glass_last() {
+        for (kinds, areas) in
+            [("dd", [0.84, 0.16]), ("ed", [1.0, 0.0]), ("dg", [1.0, 0.0]), ("gg", [0.84, 0.16])]
+        {
             let mut points = Vec::new();
             let mut faces = vec![
                 square(&mut points, [0.0, 1.0], [0.0, 1.0], 0.5, 0),
                 square(&mut points, [0.3, 0.7], [0.2, 0.6], 0.5, 1),
             ];
-            let cut = cut(&mut faces, &mut points, &emits);
+            let cut = cut(&mut faces, &mut points, &materials(kinds));
             assert_eq!(cut.objects.len(), 1);
             for (k, a) in areas.iter().enumerate() {
-                assert!((total(&faces, &points, k as u32) - a).abs() < 1e-12, "{emits:?} {k}");
+                assert!((total(&faces, &points, k as u32) - a).abs() < 1e-12, "{kinds} {k}");
             }
         }
     }
@@ -294,7 +317,7 @@ mod tests {
             square(&mut points, [-1.0, 0.0], [0.0, 1.0], 0.0, 2),
             square(&mut points, [0.0, 1.0], [0.0, 1.0], 1e-3, 3),
         ];
-        let cut = cut(&mut faces, &mut points, &[]);
+        let cut = cut(&mut faces, &mut points, &materials("dddd"));
         assert_eq!(cut.objects, [0]);
         for (k, a) in [1.0 - 0.125, 0.5625, 1.0, 1.0].iter().enumerate() {
             assert!((total(&faces, &points, k as u32) - a).abs() < 1e-12, "{k}");

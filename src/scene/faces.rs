@@ -269,8 +269,7 @@ impl Builder {
                 false => Error::parse(path, None, "no faces: none of them has an area"),
             });
         }
-        let emits: Vec<bool> = materials.iter().map(Material::is_emitter).collect();
-        let cut = coplanar::cut(&mut self.faces, &mut self.points, &emits);
+        let cut = coplanar::cut(&mut self.faces, &mut self.points, materials);
         for (objects, what) in [
             (&cut.objects, "in the plane of others, cut where these cover them"),
             (&cut.kept, "in the plane of others that cover them; not cut, for their shading normals"),
