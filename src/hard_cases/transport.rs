@@ -50,15 +50,16 @@ pub(super) const CASES: &[Case] = &[
     case("glass of ior 1", "division by zero", "furnace", || glass(1.0)),
     case("glass of ior 0.8", "reflection outside", "furnace", || glass(0.8)),
     case("glass of ior 3", "trapped light", "furnace", || glass(3.0)),
+    case("at the critical angle", "square root of a negative number", "furnace", critical),
     case("camera inside glass", "trapped light", "furnace", || glass_room(GLASS, false, [0.5, 0.5, 0.5])),
     case("lamp at grazing incidence", "cosines near zero", "quadrature", grazing),
     case("light through a keyhole", "rays miss the hole", "quadrature", keyhole),
-    case("light only through glass", "no straight connection", "path tracer", || only_by(GLASS)),
-    case("light only by a mirror", "no straight connection", "path tracer", || {
-        only_by("diffuse = 0.0\nspecular = 0.9\nroughness = 0.0")
-    }),
+    case("light only through glass", "no straight connection", "path tracer", || only_by(Way::Glass)),
+    case("light only by a mirror", "no straight connection", "path tracer", || only_by(Way::Mirror)),
+    case("light only by a caustic", "no straight connection", "path tracer", || only_by(Way::Bowl)),
 ];
 
+const MIRROR: &str = "diffuse = 0.0\nspecular = 0.9\nroughness = 0.0";
 const GLASS: &str = "diffuse = 0.0\nspecular = 0.0\nspecular_transmission = 1.0\nior = 1.5";
 
 fn furnace(albedo: f64) -> Result<Outcome> {
@@ -196,9 +197,7 @@ fn mirrors() -> Result<Outcome> {
 fn glass_room(body: &str, ends: bool, eye: Point) -> Result<Outcome> {
     let target = if ends { [0.5, 1.0, 0.5] } else { [0.51, 0.9, 0.47] };
     let mut text = SceneText::new()
-        .head(&format!(
-            "[camera]\norigin = {eye:?}\ntarget = {target:?}\nup = [0, 0, 1]\nfov = 40\nsize = [16, 16]"
-        ))
+        .head(&view(eye, target, 40.0))
         .cuboid(
             "",
             |s| if ends && s.starts_with('y') { "body".into() } else { "m".into() },
@@ -211,6 +210,36 @@ fn glass_room(body: &str, ends: bool, eye: Point) -> Result<Outcome> {
     if !ends {
         text = text.cuboid("body-", |_| "body".into(), [0.31, 0.33, 0.32], [0.4, 0.3, 0.37], false);
     }
+    seen(&text)
+}
+
+/// The surface of glass from inside, all pixels within 1e-7 of the critical angle, over walls that emit n^2 times as much as
+/// those outside: what is seen is the same everywhere. Not a block: there, light that a face throws back may be caught for good.
+fn critical() -> Result<Outcome> {
+    let sin: f64 = 1.0 / 1.5;
+    let target = [0.1 + sin, 0.5, 0.1 + (1.0 - sin * sin).sqrt()];
+    let mut text = SceneText::new()
+        .head(&view([0.1, 0.5, 0.1], target, 1e-5))
+        .diffuse("outside", 0.5, 1.0)
+        .diffuse("inside", 0.5, 2.25)
+        .material("glass", GLASS)
+        .polygon("surface", "glass", &plate([0.0, 1.0], [0.0, 1.0], 0.6, true));
+    for (material, z, height, open) in [("inside", 0.0, 0.6, "z1"), ("outside", 0.6, 0.4, "z0")] {
+        for (side, p) in box_sides([0.0, 0.0, z], [1.0, 1.0, height], true) {
+            if side != open {
+                text = text.polygon(side, material, &p);
+            }
+        }
+    }
+    seen(&text)
+}
+
+fn view(eye: Point, target: Point, fov: f64) -> String {
+    format!("[camera]\norigin = {eye:?}\ntarget = {target:?}\nup = [0, 0, 1]\nfov = {fov:?}\nsize = [16, 16]")
+}
+
+/// An image of a furnace with E = 1 and rho = 0.5 against its radiance.
+fn seen(text: &SceneText) -> Result<Outcome> {
     let image = picture(&text.load()?, Method::TwoPass(Quality::Mesh), 16, (1024, Some(0.25)), 1)?;
     Ok(match departure(&image, 2.0 / PI) {
         // Single pixels carry the noise of Russian roulette and of pass 1: the mean must hold to 1 %, pixels to 10 %.
@@ -298,18 +327,27 @@ fn keyhole() -> Result<Outcome> {
     solved(&text, 65_536, Some(0.05), &[("screen", exact)])
 }
 
-/// A lamp in a black box that is open to the room only by a slab of glass, or shines at a mirror only.
-fn only_by(material: &str) -> Result<Outcome> {
-    let glass = material.contains("transmission");
+/// What the light of a lamp must pass.
+#[derive(Clone, Copy, PartialEq)]
+enum Way {
+    /// A slab of glass that closes the lamp's black box.
+    Glass,
+    /// A flat mirror above the lamp, which shines upwards over a black tray.
+    Mirror,
+    /// A hollow mirror in that place, of more facets than have mirror images.
+    Bowl,
+}
+
+/// A room without a straight line between lamp and walls.
+fn only_by(way: Way) -> Result<Outcome> {
     let mut text = SceneText::new()
         .head("[camera]\norigin = [0.5, 0.05, 0.5]\ntarget = [0.5, 1, 0.3]\nup = [0, 0, 1]\nfov = 60\nsize = [8, 8]")
         .cuboid("", |_| "m".into(), [0.0; 3], [1.0; 3], true)
         .diffuse("m", 0.5, 0.0)
         .diffuse("black", 0.0, 0.0)
         .diffuse("lamp", 0.0, 50.0)
-        .material("special", material);
-    if glass {
-        // A lamp in a black box that a slab of glass closes.
+        .material("special", if way == Way::Glass { GLASS } else { MIRROR });
+    if way == Way::Glass {
         text = text.polygon("lamp", "lamp", &plate([0.4, 0.6], [0.4, 0.6], 0.9, false)).cuboid(
             "slab-",
             |_| "special".into(),
@@ -323,11 +361,29 @@ fn only_by(material: &str) -> Result<Outcome> {
             }
         }
     } else {
-        // A lamp that shines up into a mirror, over a black tray.
-        text = text
-            .polygon("lamp", "lamp", &plate([0.4, 0.6], [0.4, 0.6], 0.6, true))
-            .polygon("tray", "black", &plate([0.3, 0.7], [0.3, 0.7], 0.59, true))
-            .polygon("mirror", "special", &plate([0.1, 0.9], [0.1, 0.9], 0.9, false));
+        text = text.polygon("lamp", "lamp", &plate([0.4, 0.6], [0.4, 0.6], 0.6, true)).polygon(
+            "tray",
+            "black",
+            &plate([0.3, 0.7], [0.3, 0.7], 0.59, true),
+        );
+        text = match way {
+            Way::Bowl => text.polygons("bowl", "special", &bowl(6)),
+            _ => text.polygon("mirror", "special", &plate([0.1, 0.9], [0.1, 0.9], 0.9, false)),
+        };
     }
-    against_path(&text, 64, if glass { 16_384 } else { 8192 })
+    against_path(&text, 64, if way == Way::Glass { 16_384 } else { 8192 })
+}
+
+/// Triangles of a hollow over the room's middle, open downwards: a paraboloid on a grid of `n` x `n`.
+fn bowl(n: usize) -> Vec<Vec<Point>> {
+    let at = |i: usize, j: usize| -> Point {
+        let [x, y] = [i, j].map(|k| 0.1 + 0.8 * k as f64 / n as f64);
+        [x, y, 0.95 - 0.6 * ((x - 0.5).powi(2) + (y - 0.5).powi(2))]
+    };
+    let cell = |k: usize| {
+        let (i, j) = (k / n, k % n);
+        let [a, b, c, d] = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
+        [vec![a, c, b], vec![a, d, c]]
+    };
+    (0..n * n).flat_map(cell).collect()
 }
