@@ -95,8 +95,19 @@ fn csv_reads_back_whole() {
     let (folder, suite) = written();
     let mut reader = csv::Reader::from_path(folder.path().join("bench.csv")).unwrap();
     let columns: Vec<String> = reader.headers().unwrap().iter().map(String::from).collect();
-    let expected =
-        ["group", "subject", "series", "parameter", "at", "quantity", "unit", "unresolved", "run", "sample"];
+    let expected = [
+        "group",
+        "subject",
+        "series",
+        "parameter",
+        "at",
+        "quantity",
+        "unit",
+        "unresolved",
+        "run",
+        "sample",
+        "words",
+    ];
     assert_eq!(columns, expected);
     let rows: Vec<Vec<String>> =
         reader.records().map(|r| r.unwrap().iter().map(String::from).collect()).collect();

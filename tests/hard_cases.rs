@@ -1,6 +1,6 @@
 //! The suite of hard cases: every one within its limit or four of the program's own standard errors.
 
-use twopass::hard_cases::{Outcome, cases};
+use twopass::hard_cases::{Outcome, Pace, cases};
 
 fn run(group: &str) {
     let mut failed = Vec::new();
@@ -9,7 +9,7 @@ fn run(group: &str) {
         if case.group != group || only.as_ref().is_some_and(|o| !case.name.contains(o.as_str())) {
             continue;
         }
-        if case.slow && only.is_none() {
+        if case.pace == Pace::Minutes && only.is_none() {
             eprintln!("{:44} left to `twopass bench hard-cases`", case.name);
             continue;
         }

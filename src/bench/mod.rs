@@ -15,6 +15,8 @@
 
 mod embree;
 mod foreign;
+mod form_factors;
+mod hard_cases;
 mod images;
 mod machine;
 mod memory;
@@ -42,8 +44,12 @@ pub enum Group {
     Embree,
     /// Pass 1 against exact cases.
     Radiosity,
+    /// Form factors by rays, hemi-cubes and closed forms.
+    FormFactors,
     /// Error of images over time.
     Images,
+    /// Cases on which other programs break.
+    HardCases,
     /// Time over the number of elements.
     Scaling,
     /// Memory of whole runs.
@@ -52,8 +58,15 @@ pub enum Group {
 
 impl Group {
     /// All groups, in the order in which they run and are shown.
-    pub const ALL: [Group; 5] =
-        [Group::Embree, Group::Radiosity, Group::Images, Group::Scaling, Group::Memory];
+    pub const ALL: [Group; 7] = [
+        Group::Embree,
+        Group::Radiosity,
+        Group::FormFactors,
+        Group::Images,
+        Group::HardCases,
+        Group::Scaling,
+        Group::Memory,
+    ];
 
     /// Its name on the command line.
     pub fn name(self) -> &'static str {
@@ -75,11 +88,30 @@ impl Group {
                 "Pass 1 finds the diffuse light of a scene. In the cases here the right answer is known, so the error needs no \
                  reference: how it falls with more rays, finer elements, and more steps of the solver.",
             ),
+            Group::FormFactors => (
+                "form-factors",
+                "Form factors: rays, hemi-cubes and closed forms",
+                "The comparison that the program was made for: how wrong a matrix of form factors after how long, for rays over the \
+                 hemisphere, rays pair by pair, hemi-cubes and closed forms, on configurations from two squares to tens of thousands of \
+                 elements. Every method is swept from fast to precise in the same run. Hemi-cubes are drawn by the program's own \
+                 z-buffer; they need no tree, whose making counts as time of the rays.",
+            ),
             Group::Images => (
                 "images",
                 "Error of images over time",
                 "The question that a user has: how good a picture after how long? Every method renders the same views in the same run, \
                  and its error is measured against a converged reference.",
+            ),
+            Group::HardCases => (
+                "hard-cases",
+                "Hard cases",
+                "Geometry, light and amounts of work on which radiosity, form factors and single-precision rays are known to break. The \
+                 answer of each case does not come from the program's own rays: a furnace (uniform emission E and albedo rho in a closed \
+                 scene give E / (1 - rho) everywhere), quadrature of Lambert's formula, a closed form, or the independent path \
+                 tracer. \"error\" is the largest over the surfaces compared, relative to the answer; \"standard error\" is what the \
+                 program itself states. A case is right within its limit (1 %; 0.5 % for the furnace of albedo 0.9999; for rooms far \
+                 away ten times the image's departure is shown, so that 1 % means 0.1 %) or four standard errors, whichever is larger. \
+                 \"said so\" means that the program refuses or warns by name, as it must.",
             ),
             Group::Scaling => (
                 "scaling",
@@ -94,7 +126,9 @@ impl Group {
         match self {
             Group::Embree => embree::run(context),
             Group::Radiosity => radiosity::run(context),
+            Group::FormFactors => form_factors::run(context),
             Group::Images => images::run(context),
+            Group::HardCases => hard_cases::run(context),
             Group::Scaling => scaling::run(context),
             Group::Memory => memory::run(context),
         }

@@ -109,12 +109,15 @@ pub struct Series {
     pub parameter: String,
     /// Points in increasing order of the parameter.
     pub points: Vec<Point>,
+    /// What numbers do not tell: name and text of columns of their own.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub words: Vec<(String, String)>,
 }
 
 impl Series {
     /// A series without points.
     pub fn new(name: impl Into<String>, parameter: &str) -> Series {
-        Series { name: name.into(), parameter: parameter.into(), points: Vec::new() }
+        Series { name: name.into(), parameter: parameter.into(), points: Vec::new(), words: Vec::new() }
     }
 
     /// The point at a parameter, made where it does not exist.

@@ -11,10 +11,20 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 pub fn run(args: &BenchArgs) -> Result<()> {
-    if let Some(readme) = &args.tables {
+    if let (Some(readme), true) = (&args.tables, args.names.is_empty()) {
+        if args.quick {
+            return Err(Error::Usage(
+                "--tables measures nothing, quickly or not, unless groups are named".into(),
+            ));
+        }
         return tables(readme, &args.output);
     }
     let groups = Group::named(&args.names)?;
+    if let Some(readme) = &args.tables {
+        // Before anything is measured.
+        std::fs::metadata(readme).map_err(|e| Error::io(readme, e))?;
+        crate::output::check(readme)?;
+    }
     suite::prepare(&args.output)?;
     let settings = Settings {
         quick: args.quick,
@@ -34,7 +44,7 @@ pub fn run(args: &BenchArgs) -> Result<()> {
     let measured = bench::run(&groups, &context)?;
     suite::write(&measured, &args.output)?;
     observer(&format!("done: {}", args.output.join("report.html").display()));
-    Ok(())
+    args.tables.as_ref().map_or(Ok(()), |readme| tables(readme, &args.output))
 }
 
 /// Replaces the tables of a Markdown file with those of earlier records.

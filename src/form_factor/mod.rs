@@ -21,7 +21,7 @@ pub use found::Found;
 pub use hemicube::{DeltaFactors, HemicubeErrors, HemicubeSettings, MOST_PIXELS, hemicube, item_image};
 pub use matrix::{ExchangeMatrix, RowSummary};
 pub use mirror::cast_images;
-pub use raycast::{Casting, EmitterIrradiance, EmitterWork, cast, cast_rows};
+pub use raycast::{Casting, EmitterIrradiance, EmitterWork, cast, cast_random, cast_rows};
 pub use source::element_rays;
 pub use specular::{Carried, ChainEnd, Chains, Link, pass_on};
 pub use table::ObjectTable;

@@ -110,6 +110,27 @@ pub fn cast_rows(
     casting: &Casting,
     rows: Option<&[bool]>,
 ) -> (ExchangeMatrix, Vec<EmitterIrradiance>) {
+    cast_points(visibility, mesh, casting, rows, SobolTable::new)
+}
+
+/// As [`cast_rows`], with independent random points in place of Sobol's: what these are compared with.
+pub fn cast_random(
+    visibility: &Visibility,
+    mesh: &Mesh,
+    casting: &Casting,
+    rows: Option<&[bool]>,
+) -> ExchangeMatrix {
+    cast_points(visibility, mesh, casting, rows, |n| SobolTable::random(n, casting.seed)).0
+}
+
+/// As [`cast_rows`], with so many points of a table for each randomisation.
+fn cast_points(
+    visibility: &Visibility,
+    mesh: &Mesh,
+    casting: &Casting,
+    rows: Option<&[bool]>,
+    points: impl Fn(u32) -> SobolTable,
+) -> (ExchangeMatrix, Vec<EmitterIrradiance>) {
     let scene = visibility.scene();
     let batches = casting.batches.max(casting.rays.div_ceil(MAX_POINTS)).clamp(1, casting.rays.max(1));
     let per_batch = casting.rays.max(1).div_ceil(batches);
@@ -119,7 +140,7 @@ pub fn cast_rows(
         visibility,
         mesh,
         casting,
-        table: SobolTable::new(per_batch),
+        table: points(per_batch),
         batches,
         channels: if coloured { 3 } else { 1 },
         chains: Chains::new(visibility, casting.emitters.map(|e| e.0)),

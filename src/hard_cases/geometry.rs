@@ -2,7 +2,7 @@
 
 use super::build::{Point, SceneText, box_sides, plate, sphere, turned, wedge_room};
 use super::exact::{factor, point_factor};
-use super::{Case, Outcome, compare, mean, picture, said, solve, solved};
+use super::{Case, Outcome, Pace, compare, mean, picture, said, solve, solved};
 use crate::Result;
 use crate::embree::Device;
 use crate::error::Error;
@@ -17,7 +17,7 @@ const fn case(
     answer: &'static str,
     run: fn() -> Result<Outcome>,
 ) -> Case {
-    Case { group: "geometry", name, breaks, answer, limit: 0.01, slow: false, run }
+    Case { group: "geometry", name, breaks, answer, limit: 0.01, pace: Pace::Fast, run }
 }
 
 /// The geometry of the suite.
@@ -65,7 +65,7 @@ pub(super) const CASES: &[Case] = &[
     case("needle-thin light", "never hit, elements explode", "quadrature", needle),
     case("light of 1e-6 of the room", "never hit", "point source", tiny_light),
     case("default elements on slivers", "elements explode", "furnace", default_elements),
-    Case { slow: true, ..case("sphere of a million triangles", "memory", "furnace", million) },
+    Case { pace: Pace::Minutes, ..case("sphere of a million triangles", "memory", "furnace", million) },
 ];
 
 const ALBEDO: f64 = 0.7;

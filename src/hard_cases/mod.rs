@@ -34,10 +34,21 @@ pub struct Case {
     pub answer: &'static str,
     /// Relative error that is allowed however small the standard error is.
     pub limit: f64,
-    /// Takes more than a few seconds.
-    pub slow: bool,
+    /// How long it takes.
+    pub pace: Pace,
     /// Runs it.
     pub run: fn() -> Result<Outcome>,
+}
+
+/// How long a case takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pace {
+    /// Less than a second.
+    Fast,
+    /// Seconds: left out of quick runs of the benchmark suite.
+    Seconds,
+    /// Minutes: left out of tests too.
+    Minutes,
 }
 
 /// What a case came to.
@@ -200,27 +211,4 @@ fn mean(image: &Image) -> f64 {
         }
     }
     crate::color::mean(sum / n)
-}
-
-/// The suite as a Markdown table: case, what breaks elsewhere, where the answer comes from, error, standard error, time.
-pub fn table(rows: &[(Case, Measured)]) -> String {
-    let mut text = String::from(
-        "| case | what breaks elsewhere | answer from | error | standard error | time |\n|---|---|---|---:|---:|---:|\n",
-    );
-    for (case, m) in rows {
-        let verdict = if case.passes(m) { "" } else { " **fails**" };
-        let percent = |x: f64| if x == 0.0 { "-".into() } else { format!("{:.2} %", 100.0 * x) };
-        let (error, standard_error) = match &m.outcome {
-            Ok(Outcome::Number { error, standard_error }) => {
-                (format!("{:.3} %", 100.0 * error), percent(*standard_error))
-            }
-            Ok(Outcome::Said(_)) => ("said so".into(), "-".into()),
-            Err(message) => (message.replace('|', "/"), "-".into()),
-        };
-        text += &format!(
-            "| {} | {} | {} | {error}{verdict} | {standard_error} | {:.2} s |\n",
-            case.name, case.breaks, case.answer, m.seconds
-        );
-    }
-    text
 }

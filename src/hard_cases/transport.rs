@@ -2,7 +2,7 @@
 
 use super::build::{Point, SceneText, box_sides, plate};
 use super::exact::factor;
-use super::{Case, Outcome, compare, departure, mean, picture, said, solve, solved};
+use super::{Case, Outcome, Pace, compare, departure, mean, picture, said, solve, solved};
 use crate::Result;
 use crate::error::Error;
 use crate::render::{Method, Quality};
@@ -14,7 +14,17 @@ const fn case(
     answer: &'static str,
     run: fn() -> Result<Outcome>,
 ) -> Case {
-    Case { group: "transport", name, breaks, answer, limit: 0.01, slow: false, run }
+    Case { group: "transport", name, breaks, answer, limit: 0.01, pace: Pace::Fast, run }
+}
+
+/// A case that takes seconds.
+const fn seconds(
+    name: &'static str,
+    breaks: &'static str,
+    answer: &'static str,
+    run: fn() -> Result<Outcome>,
+) -> Case {
+    Case { pace: Pace::Seconds, ..case(name, breaks, answer, run) }
 }
 
 /// The transport of the suite.
@@ -45,7 +55,7 @@ pub(super) const CASES: &[Case] = &[
     case("roughness 1e-4", "a lobe narrower than a float", "furnace", || {
         glass_room("diffuse = 0.0\nspecular = 1.0\nroughness = 1e-4", false, [0.5, 0.02, 0.5])
     }),
-    case("roughness 1", "lobe and path disagree", "path tracer", rough),
+    seconds("roughness 1", "lobe and path disagree", "path tracer", rough),
     case("glass of ior 1.5", "total internal reflection", "furnace", || glass(1.5)),
     case("glass of ior 1", "division by zero", "furnace", || glass(1.0)),
     case("glass of ior 0.8", "reflection outside", "furnace", || glass(0.8)),
@@ -53,10 +63,10 @@ pub(super) const CASES: &[Case] = &[
     case("at the critical angle", "square root of a negative number", "furnace", critical),
     case("camera inside glass", "trapped light", "furnace", || glass_room(GLASS, false, [0.5, 0.5, 0.5])),
     case("lamp at grazing incidence", "cosines near zero", "quadrature", grazing),
-    case("light through a keyhole", "rays miss the hole", "quadrature", keyhole),
-    case("light only through glass", "no straight connection", "path tracer", || only_by(Way::Glass)),
-    case("light only by a mirror", "no straight connection", "path tracer", || only_by(Way::Mirror)),
-    case("light only by a caustic", "no straight connection", "path tracer", || only_by(Way::Bowl)),
+    seconds("light through a keyhole", "rays miss the hole", "quadrature", keyhole),
+    seconds("light only through glass", "no straight connection", "path tracer", || only_by(Way::Glass)),
+    seconds("light only by a mirror", "no straight connection", "path tracer", || only_by(Way::Mirror)),
+    seconds("light only by a caustic", "no straight connection", "path tracer", || only_by(Way::Bowl)),
 ];
 
 const MIRROR: &str = "diffuse = 0.0\nspecular = 0.9\nroughness = 0.0";

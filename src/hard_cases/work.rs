@@ -2,7 +2,7 @@
 
 use super::build::{SceneText, plate};
 use super::exact::factor;
-use super::{Case, Outcome, compare, departure, picture, said, solve, solved};
+use super::{Case, Outcome, Pace, compare, departure, picture, said, solve, solved};
 use crate::Result;
 use crate::render::{Method, Quality};
 use std::f64::consts::PI;
@@ -13,7 +13,7 @@ const fn case(
     answer: &'static str,
     run: fn() -> Result<Outcome>,
 ) -> Case {
-    Case { group: "work", name, breaks, answer, limit: 0.01, slow: false, run }
+    Case { group: "work", name, breaks, answer, limit: 0.01, pace: Pace::Fast, run }
 }
 
 /// The work of the suite.

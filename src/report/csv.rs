@@ -19,6 +19,8 @@ struct Line<'a> {
     /// Which run, from 0.
     run: usize,
     sample: f64,
+    /// What numbers do not tell: `column: text; column: text`.
+    words: &'a str,
 }
 
 /// The suite as CSV, with a header.
@@ -28,6 +30,8 @@ pub fn to_csv(suite: &Suite) -> Result<Vec<u8>> {
     for group in &suite.groups {
         for subject in &group.subjects {
             for series in &subject.series {
+                let words: Vec<String> = series.words.iter().map(|(k, v)| format!("{k}: {v}")).collect();
+                let words = words.join("; ");
                 for point in &series.points {
                     for m in &point.measured {
                         for (run, &sample) in m.samples.iter().enumerate() {
@@ -42,6 +46,7 @@ pub fn to_csv(suite: &Suite) -> Result<Vec<u8>> {
                                 unresolved: point.unresolved,
                                 run,
                                 sample,
+                                words: &words,
                             };
                             writer.serialize(line).map_err(|e| failed(e.to_string()))?;
                         }

@@ -166,14 +166,18 @@ fn gradient() -> String {
 }
 
 fn table(out: &mut String, subject: &Subject) {
-    let names = markdown::quantities(subject);
+    let names = markdown::columns(subject);
     if names.is_empty() {
         return;
     }
     let rows: usize = subject.series.iter().map(|s| s.points.len()).sum();
+    let varied = markdown::has_parameter(subject);
+    // Where nothing is drawn, the table is what there is to see.
+    let open = if subject.charts.is_empty() { " open" } else { "" };
     let _ = write!(
         out,
-        "<details><summary>Table of {rows} rows</summary>\n<div class=\"wide\"><table>\n<tr><th></th><th></th>"
+        "<details{open}><summary>Table of {rows} rows</summary>\n<div class=\"wide\"><table>\n<tr><th></th>{}",
+        if varied { "<th></th>" } else { "" }
     );
     for name in &names {
         let _ = write!(out, "<th>{}</th>", escape(name));
@@ -181,12 +185,14 @@ fn table(out: &mut String, subject: &Subject) {
     out.push_str("</tr>\n");
     for series in &subject.series {
         for point in &series.points {
-            let at = markdown::parameter(point.parameter, &series.parameter);
-            let _ = write!(out, "<tr><td>{}</td><td>{}</td>", escape(&series.name), escape(&at));
+            let _ = write!(out, "<tr><td>{}</td>", escape(&series.name));
+            if varied {
+                let at = markdown::parameter(point.parameter, &series.parameter);
+                let _ = write!(out, "<td>{}</td>", escape(&at));
+            }
             for name in &names {
-                let m = point.get(name);
-                let cell = m.map_or_else(|| "-".into(), text::measured);
-                let every = m.map(|m| format!("{:?}", m.samples)).unwrap_or_default();
+                let every = point.get(name).map(|m| format!("{:?}", m.samples)).unwrap_or_default();
+                let cell = markdown::cell(series, point, name);
                 let _ = write!(out, "<td title=\"{}\">{}</td>", escape(&every), escape(&cell));
             }
             out.push_str("</tr>\n");

@@ -1,7 +1,7 @@
 //! Tables of a suite in Markdown, and their places in other files.
 
 use super::text;
-use crate::bench::record::{GroupRecord, Series, Subject, Suite};
+use crate::bench::record::{GroupRecord, Point, Series, Subject, Suite};
 use crate::{Error, Result};
 use std::fmt::Write;
 use std::path::Path;
@@ -49,6 +49,31 @@ pub fn quantities(subject: &Subject) -> Vec<&str> {
     names
 }
 
+/// Columns of a subject's table after its series and parameter: words first, then quantities.
+pub fn columns(subject: &Subject) -> Vec<&str> {
+    let mut names: Vec<&str> = Vec::new();
+    for (column, _) in subject.series.iter().flat_map(|s| &s.words) {
+        if !names.contains(&column.as_str()) {
+            names.push(column);
+        }
+    }
+    names.extend(quantities(subject));
+    names
+}
+
+/// What stands in a column at a point, as people read it.
+pub fn cell(series: &Series, point: &Point, column: &str) -> String {
+    match series.words.iter().find(|w| w.0 == column) {
+        Some((_, text)) => text.clone(),
+        None => point.get(column).map_or_else(|| "-".into(), text::measured),
+    }
+}
+
+/// Whether any series has a parameter to show.
+pub fn has_parameter(subject: &Subject) -> bool {
+    subject.series.iter().any(|s| !s.parameter.is_empty())
+}
+
 /// Which part of a subject's table to write; all of it where nothing is chosen.
 #[derive(Debug, Default, PartialEq)]
 pub struct Choice<'a> {
@@ -80,20 +105,23 @@ impl<'a> Choice<'a> {
 
 /// One row a point: medians, and ranges in parentheses.
 pub fn table(subject: &Subject, choice: &Choice) -> String {
-    let mut names = quantities(subject);
+    let mut names = columns(subject);
     if !choice.columns.is_empty() {
         names = choice.columns.clone();
     }
+    let varied = has_parameter(subject);
     let shown = |s: &&Series| choice.series.is_empty() || choice.series.contains(&s.name.as_str());
-    let mut out = format!("| | | {} |\n|{}\n", names.join(" | "), " --- |".repeat(names.len() + 2));
+    let (heads, lead) = if varied { ("| | ", 2) } else { ("| ", 1) };
+    let mut out = format!("{heads}| {} |\n|{}\n", names.join(" | "), " --- |".repeat(names.len() + lead));
     for series in subject.series.iter().filter(shown) {
         for point in series.points.iter().filter(|p| choice.at.is_empty() || choice.at.contains(&p.parameter))
         {
-            let at = parameter(point.parameter, &series.parameter);
-            let _ = write!(out, "| {} | {at} |", series.name);
+            let _ = write!(out, "| {} |", series.name);
+            if varied {
+                let _ = write!(out, " {} |", parameter(point.parameter, &series.parameter));
+            }
             for name in &names {
-                let cell = point.get(name).map_or_else(|| "-".into(), text::measured);
-                let _ = write!(out, " {cell} |");
+                let _ = write!(out, " {} |", cell(series, point, name).replace('|', "/"));
             }
             out.push('\n');
         }

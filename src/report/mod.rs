@@ -6,7 +6,7 @@ pub mod html;
 pub mod markdown;
 pub mod plot;
 pub mod suite;
-mod text;
+pub(crate) mod text;
 
 use crate::color::Rgb;
 use crate::form_factor::pairs::PairCounts;

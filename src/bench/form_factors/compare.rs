@@ -1,0 +1,347 @@
+//! Who is faster at equal error, and why: computed from the records.
+
+use super::{DIRECTIONS, Method, RMS, TIME, series_name};
+use crate::bench::record::{Chart, Figure, PARAMETER, Subject, Unit};
+use crate::bench::{Context, Measurements, threads_in_words};
+use crate::report::text;
+
+/// RMS errors at which methods are compared.
+const LEVELS: [f64; 9] = [0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5];
+const CUBES: [Method; 3] = [Method::Centre, Method::Grid(8), Method::Grid(32)];
+const RAYS: [Method; 3] = [Method::Sobol, Method::Reciprocity, Method::Pairs];
+
+const HEMISPHERE: &str = "hemisphere rays";
+const BEST_RAYS: &str = "best ray-cast";
+const BEST_CUBES: &str = "best hemi-cube";
+const SPEED: &str = "hemisphere rays: times as fast as the best hemi-cube";
+const BEST_SPEED: &str = "best ray-cast: times as fast as the best hemi-cube";
+
+/// What a method needs for an RMS error.
+#[derive(Debug, Clone, PartialEq)]
+struct Need {
+    series: String,
+    seconds: f64,
+    /// Directions an element.
+    directions: Option<f64>,
+}
+
+/// What a method needs for an RMS error of `level` or less: between the points of its sweep interpolated on logarithmic axes,
+/// over those points alone that are better than all faster ones. Medians; none where the sweep does not get there.
+fn need(subject: &Subject, method: Method, threads: usize, level: f64) -> Option<Need> {
+    let name = series_name(method, threads);
+    let series = subject.series.iter().find(|s| s.name == name)?;
+    let mut points: Vec<[f64; 3]> = series
+        .points
+        .iter()
+        .filter(|p| !p.unresolved)
+        .filter_map(|p| {
+            let median = |q: &str| p.summary(q).map(|s| s.median);
+            Some([median(TIME)?, median(RMS)?, median(DIRECTIONS).unwrap_or(0.0)])
+        })
+        .collect();
+    points.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    let mut best = f64::INFINITY;
+    points.retain(|p| {
+        let better = p[1] < best;
+        best = best.min(p[1]);
+        better
+    });
+    let k = points.iter().position(|p| p[1] <= level)?;
+    let at = |i: usize| {
+        let (b, a) = (points[k], points[k.saturating_sub(1)]);
+        if k == 0 || a[1] <= 0.0 || b[1] <= 0.0 || a[i] <= 0.0 {
+            return b[i];
+        }
+        let t = (a[1] / level).ln() / (a[1] / b[1]).ln();
+        a[i] * (b[i] / a[i]).powf(t)
+    };
+    let directions = Some(at(2)).filter(|d| *d > 0.0);
+    Some(Need { series: method.name(), seconds: at(0), directions })
+}
+
+/// The fastest of several methods.
+fn best(subject: &Subject, methods: &[Method], threads: usize, level: f64) -> Option<Need> {
+    let all = methods.iter().filter_map(|m| need(subject, *m, threads, level));
+    all.min_by(|a, b| a.seconds.total_cmp(&b.seconds))
+}
+
+/// Smallest error that any of these methods was measured with.
+fn finest(subject: &Subject, methods: &[Method], threads: usize) -> Option<f64> {
+    let names: Vec<String> = methods.iter().map(|m| series_name(*m, threads)).collect();
+    let points = subject.series.iter().filter(|s| names.contains(&s.name)).flat_map(|s| &s.points);
+    points.filter_map(|p| p.summary(RMS)).map(|s| s.median).min_by(f64::total_cmp)
+}
+
+/// One level of a configuration at which rays and hemi-cubes meet.
+struct Meeting {
+    level: f64,
+    rays: Need,
+    best: Need,
+    cubes: Need,
+}
+
+fn meetings(subject: &Subject, threads: usize) -> Vec<Meeting> {
+    LEVELS
+        .into_iter()
+        .filter_map(|level| {
+            Some(Meeting {
+                level,
+                rays: need(subject, Method::Sobol, threads, level)?,
+                best: best(subject, &RAYS, threads, level)?,
+                cubes: best(subject, &CUBES, threads, level)?,
+            })
+        })
+        .collect()
+}
+
+/// Puts a summary before the configurations, and its sentences below each.
+pub(super) fn compared(context: &Context, mut subjects: Vec<Subject>) -> Measurements {
+    let threads = context.threads();
+    let mut summary = Subject::new(
+        "equal-error",
+        format!("Time to equal RMS error, {}", threads_in_words(threads)),
+        "What hemisphere rays (Sobol points), the best of all ray-cast methods and the best of all hemi-cubes need for the same RMS error, \
+         interpolated between the points of their sweeps below. Errors that one of them does not reach are left out.",
+    );
+    let (mut slower, mut all_slower) = (Vec::new(), Vec::new());
+    let mut fastest: Vec<f64> = Vec::new();
+    for subject in &mut subjects {
+        let found = meetings(subject, threads);
+        for m in &found {
+            let point = summary.series(&subject.name, "RMS error, %").at(100.0 * m.level);
+            point.push(HEMISPHERE, Unit::Seconds, m.rays.seconds);
+            point.push(BEST_RAYS, Unit::Seconds, m.best.seconds);
+            point.push(BEST_CUBES, Unit::Seconds, m.cubes.seconds);
+            point.push(SPEED, Unit::Plain, m.cubes.seconds / m.rays.seconds);
+            point.push(BEST_SPEED, Unit::Plain, m.cubes.seconds / m.best.seconds);
+        }
+        if let Some(m) = found.last() {
+            fastest.push(m.cubes.seconds / m.best.seconds);
+        }
+        let is_slower = |f: &dyn Fn(&Meeting) -> f64| found.iter().any(|m| f(m) > m.cubes.seconds);
+        if is_slower(&|m| m.rays.seconds) {
+            slower.push(subject.name.clone());
+        }
+        if is_slower(&|m| m.best.seconds) {
+            all_slower.push(subject.name.clone());
+        }
+        let faces = subject.title.rsplit(", ").next().unwrap_or_default().to_string();
+        let sentences = sentences(subject, &found, threads, &faces);
+        subject.notes.extend(sentences);
+    }
+    let count = subjects.len();
+    let listed = |names: &[String]| if names.is_empty() { "none".into() } else { names.join(", ") };
+    summary.notes.push(format!(
+        "Hemisphere rays are slower than the best hemi-cube at one equal RMS error or more on {} of {count} configurations: {}.",
+        slower.len(),
+        listed(&slower)
+    ));
+    summary.notes.push(format!(
+        "The best of all ray-cast methods, both directions' estimates combined and pair by pair included, is slower there on {} of {count}: \
+         {}. What the reasons are stands below each configuration.",
+        all_slower.len(),
+        listed(&all_slower)
+    ));
+    for quantity in [SPEED, BEST_SPEED] {
+        let about = "Above 1 the rays are faster. Towards the left the errors get smaller.";
+        summary.charts.push(Chart::new(quantity, PARAMETER, quantity, about));
+    }
+    let figures = vec![
+        Figure {
+            label: format!(
+                "times as fast as the best hemi-cube: the best ray-cast form factors at the smallest RMS error that both reach, one value \
+                 for each of {} configurations",
+                fastest.len()
+            ),
+            unit: Unit::Plain,
+            samples: fastest,
+        },
+        Figure {
+            label: format!(
+                "of {count} configurations where plain hemisphere rays are slower than the best hemi-cube at some equal RMS error"
+            ),
+            unit: Unit::Count,
+            samples: vec![slower.len() as f64],
+        },
+    ];
+    subjects.insert(0, summary);
+    Measurements { figures: figures.into_iter().filter(|f| !f.samples.is_empty()).collect(), subjects }
+}
+
+fn percent(share: f64) -> String {
+    text::value(share, Unit::Share)
+}
+
+fn times(x: f64) -> String {
+    text::value(x, Unit::Plain)
+}
+
+/// `3.00 times as fast`, or `1.20 times slower`.
+fn speed(own: f64, other: f64) -> String {
+    if own <= other {
+        format!("{} times as fast", times(other / own))
+    } else {
+        format!("{} times slower", times(own / other))
+    }
+}
+
+fn sentences(subject: &Subject, found: &[Meeting], threads: usize, faces: &str) -> Vec<String> {
+    let mut said = Vec::new();
+    let Some(last) = found.last() else {
+        let of = |methods: &[Method]| finest(subject, methods, threads).map_or("-".into(), percent);
+        said.push(format!(
+            "Rays and hemi-cubes did not reach a common RMS error within their time: {} by hemisphere rays, {} by hemi-cubes at best.",
+            of(&[Method::Sobol]),
+            of(&CUBES)
+        ));
+        return said;
+    };
+    let seconds = |n: &Need| text::value(n.seconds, Unit::Seconds);
+    let slower: Vec<&Meeting> = found.iter().filter(|m| m.rays.seconds > m.cubes.seconds).collect();
+    let levels = |of: &[&Meeting]| of.iter().map(|m| percent(m.level)).collect::<Vec<_>>().join(", ");
+    said.push(match slower.len() {
+        0 => format!("Hemisphere rays are faster than the best hemi-cube at every RMS error that both reach ({}).", {
+            levels(&found.iter().collect::<Vec<_>>())
+        }),
+        k if k == found.len() => {
+            format!("Hemisphere rays are slower than the best hemi-cube at every RMS error that both reach ({}).", levels(&slower))
+        }
+        _ => format!(
+            "Hemisphere rays are slower than the best hemi-cube at RMS errors of {}, and faster at the other ones that both reach.",
+            levels(&slower)
+        ),
+    });
+    // Where it is worst for the rays; the finest error where they always win.
+    let worst = slower
+        .iter()
+        .max_by(|a, b| (a.rays.seconds / a.cubes.seconds).total_cmp(&(b.rays.seconds / b.cubes.seconds)))
+        .map_or(last, |m| *m);
+    said.push(format!(
+        "At {} the rays take {} and {} {}: the rays are {}.{}",
+        percent(worst.level),
+        seconds(&worst.rays),
+        worst.cubes.series,
+        seconds(&worst.cubes),
+        speed(worst.rays.seconds, worst.cubes.seconds),
+        why(worst, faces)
+    ));
+    if last.best.series != last.rays.series {
+        said.push(format!(
+            "At {}, the smallest RMS error that rays and hemi-cubes both reach, {} takes {}: {} as {}.",
+            percent(last.level),
+            last.best.series,
+            seconds(&last.best),
+            speed(last.best.seconds, last.cubes.seconds),
+            last.cubes.series
+        ));
+    }
+    let [rays, cubes] = [&RAYS[..], &CUBES[..]].map(|m| finest(subject, m, threads));
+    if let (Some(rays), Some(cubes)) = (rays, cubes) {
+        said.push(format!(
+            "Smallest RMS error within the sweeps' time: {} by rays, {} by hemi-cubes.",
+            percent(rays),
+            percent(cubes)
+        ));
+    }
+    said
+}
+
+/// The ratio of times as a product: how many directions each needs, and what one costs.
+fn why(m: &Meeting, faces: &str) -> String {
+    let (Some(rays), Some(cubes)) = (m.rays.directions, m.cubes.directions) else { return String::new() };
+    let number = rays / cubes;
+    let cost = m.rays.seconds / m.cubes.seconds / number;
+    let mut text = format!(
+        " They need {} times as many directions as the hemi-cubes have pixels ({} against {}), and a ray costs {} times what a pixel does.",
+        times(number),
+        text::value(rays, Unit::Count),
+        text::value(cubes, Unit::Count),
+        times(cost)
+    );
+    if m.rays.seconds <= m.cubes.seconds {
+        return text;
+    }
+    if cost > 1.0 {
+        text += &format!(
+            " A face is drawn into all of its pixels at once ({faces} to draw), while each ray finds its own way through the tree."
+        );
+    }
+    if number > 1.0 {
+        text += " Pixels have exact weights and lie on a grid, so a factor errs only along the outlines of what is seen; a ray counts \
+                 wholly or not at all, and errs wherever an element is smaller than the distance between rays.";
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A sweep of a method: (time, error, directions).
+    fn add(subject: &mut Subject, method: Method, points: &[(f64, f64, f64)]) {
+        for (k, (seconds, error, directions)) in points.iter().enumerate() {
+            let point = subject.series(&series_name(method, 2), "n").at(k as f64);
+            point.push(TIME, Unit::Seconds, *seconds);
+            point.push(RMS, Unit::Share, *error);
+            if *directions > 0.0 {
+                point.push(DIRECTIONS, Unit::Count, *directions);
+            }
+        }
+    }
+
+    #[test]
+    fn needs_lie_between_the_points_of_a_sweep() {
+        let mut s = Subject::new("s", "t, 6 faces", "");
+        // A slow point that is worse than a fast one counts for nothing.
+        add(&mut s, Method::Sobol, &[(0.1, 0.4, 16.0), (0.3, 0.9, 8.0), (10.0, 0.004, 1600.0)]);
+        let at = |level| need(&s, Method::Sobol, 2, level);
+        // Halfway between the errors 0.4 and 0.004 on logarithmic axes is halfway between the times.
+        let n = at(0.04).expect("reached");
+        assert!((n.seconds - 1.0).abs() < 1e-12, "{n:?}");
+        assert!((n.directions.expect("has") - 160.0).abs() < 1e-9);
+        assert!((at(0.5).expect("at once").seconds - 0.1).abs() < 1e-15);
+        assert_eq!(at(0.001), None);
+        assert_eq!(need(&s, Method::Centre, 2, 0.1), None);
+        s.series[0].points[2].unresolved = true;
+        assert_eq!(need(&s, Method::Sobol, 2, 0.04), None);
+    }
+
+    /// The sentences follow from the numbers: turned round, they say the opposite.
+    #[test]
+    fn the_slower_one_is_named_with_its_reason() {
+        let fast = [(1e-3, 0.5, 100.0), (1e-1, 5e-3, 1e4)];
+        let slow = [(4e-3, 0.5, 50.0), (4e-1, 5e-3, 5e3)];
+        let made = |rays: &[(f64, f64, f64)], cubes: &[(f64, f64, f64)]| {
+            let mut s = Subject::new("s", "t: 8 elements, 6 faces", "");
+            add(&mut s, Method::Sobol, rays);
+            add(&mut s, Method::Grid(8), cubes);
+            add(&mut s, Method::Pairs, &[(1e-4, 1e-3, 0.0)]);
+            let found = meetings(&s, 2);
+            (found.len(), sentences(&s, &found, 2, "6 faces").join(" "))
+        };
+        let (count, text) = made(&slow, &fast);
+        // 30, 10, 3 and 1 %.
+        assert_eq!(count, 4);
+        assert!(text.contains("slower than the best hemi-cube at every RMS error"), "{text}");
+        assert!(text.contains("the rays are 4.00 times slower"), "{text}");
+        assert!(
+            text.contains("0.500 times as many directions") && text.contains("costs 8.00 times"),
+            "{text}"
+        );
+        assert!(text.contains("6 faces to draw") && !text.contains("exact weights"), "{text}");
+        assert!(
+            text.contains("rays, pair by pair takes 0.100 ms")
+                || text.contains("rays, pair by pair takes 100 us"),
+            "{text}"
+        );
+        let (_, text) = made(&fast, &slow);
+        assert!(text.contains("faster than the best hemi-cube at every RMS error"), "{text}");
+        assert!(text.contains("the rays are 4.00 times as fast") && !text.contains("to draw"), "{text}");
+        let (count, text) = made(&[(1.0, 0.5, 10.0)], &[(1.0, 0.9, 10.0)]);
+        assert_eq!(count, 0);
+        assert!(
+            text.contains("did not reach") && text.contains("50.0 %") && text.contains("90.0 %"),
+            "{text}"
+        );
+    }
+}
