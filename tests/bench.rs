@@ -40,6 +40,11 @@ fn subject() -> Subject {
             file: "pictures/slow.png".into(),
             png: png(8, 4, &colours).unwrap(),
         }],
+        whole: Some(Picture {
+            caption: "all".into(),
+            file: "pictures/all.png".into(),
+            png: png(4, 8, &colours).unwrap(),
+        }),
     });
     subject.notes.push("skipped: nothing".into());
     subject

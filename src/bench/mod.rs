@@ -20,6 +20,7 @@ mod hard_cases;
 mod images;
 mod machine;
 mod memory;
+mod methods;
 mod pictures;
 mod radiosity;
 pub mod record;
@@ -29,7 +30,7 @@ mod scenes;
 mod view;
 
 pub use machine::machine;
-pub use scenes::{Files, SCENES, embedded};
+pub use scenes::{Files, Glossy, SCENES, embedded, glossy_cornell};
 
 use crate::embree::Device;
 use crate::{Error, Result};
@@ -48,6 +49,8 @@ pub enum Group {
     FormFactors,
     /// Error of images over time.
     Images,
+    /// The two-pass method beside what came before it.
+    Methods,
     /// Cases on which other programs break.
     HardCases,
     /// Time over the number of elements.
@@ -58,11 +61,12 @@ pub enum Group {
 
 impl Group {
     /// All groups, in the order in which they run and are shown.
-    pub const ALL: [Group; 7] = [
+    pub const ALL: [Group; 8] = [
         Group::Embree,
         Group::Radiosity,
         Group::FormFactors,
         Group::Images,
+        Group::Methods,
         Group::HardCases,
         Group::Scaling,
         Group::Memory,
@@ -102,6 +106,14 @@ impl Group {
                 "The question that a user has: how good a picture after how long? Every method renders the same views in the same run, \
                  and its error is measured against a converged reference.",
             ),
+            Group::Methods => (
+                "methods",
+                "The two-pass method beside what came before it",
+                "One scene with a glossy floor and a mirror by every method that the literature of 1980 to 1987 offers, and by path \
+                 tracing. Ray tracing after Whitted (1980) lacks light between diffuse surfaces, and radiosity (Goral et al. 1984) lacks \
+                 reflections. Directional radiosity (Immel, Cohen and Greenberg 1986) has both, at the price of a value for every direction \
+                 of every specular element. The two-pass method (Wallace, Cohen and Greenberg 1987) has both, too.",
+            ),
             Group::HardCases => (
                 "hard-cases",
                 "Hard cases",
@@ -128,6 +140,7 @@ impl Group {
             Group::Radiosity => radiosity::run(context),
             Group::FormFactors => form_factors::run(context),
             Group::Images => images::run(context),
+            Group::Methods => methods::run(context),
             Group::HardCases => hard_cases::run(context),
             Group::Scaling => scaling::run(context),
             Group::Memory => memory::run(context),

@@ -5,6 +5,7 @@ use super::reference::Reference;
 use super::view::{ERROR, View};
 use crate::Result;
 use crate::color;
+use crate::image::canvas::{BLACK, Canvas, LETTER, WHITE};
 use crate::image::{Image, error_within, mean_image, png, signed_difference, srgb_bytes};
 
 /// A picture of the first round with what it cost, for the strips.
@@ -17,7 +18,7 @@ pub(super) struct Kept {
 }
 
 /// Exposure [EV] that brings the mean of the reference to a middle grey.
-fn exposure(reference: &Reference) -> f64 {
+pub(super) fn exposure(reference: &Reference) -> f64 {
     let pixels = reference.mean.data.chunks_exact(3).zip(&reference.mask).filter(|p| *p.1);
     let (sum, n) = pixels.fold((0.0, 0.0), |(s, n), (p, _)| {
         (s + color::mean(color::Rgb::new(f64::from(p[0]), f64::from(p[1]), f64::from(p[2]))), n + 1.0)
@@ -81,6 +82,7 @@ pub(super) fn pictures(stage: &View, subject: &Subject, kept: &[Kept], name: &st
             about: format!("First frames that took about {budget:.2} s, pass 1 included, beside the reference."),
             scale: None,
             pictures: plain,
+            whole: None,
         },
         Strip {
             title: "Their errors".into(),
@@ -90,6 +92,34 @@ pub(super) fn pictures(stage: &View, subject: &Subject, kept: &[Kept], name: &st
                 .into(),
             scale: Some(scale),
             pictures: errors,
+            whole: None,
         },
     ])
+}
+
+/// Pictures of one size side by side as one, each with the lines of its caption below it: PNG.
+pub(super) fn side_by_side(
+    [width, height]: [usize; 2],
+    pictures: &[(Vec<u8>, Vec<String>)],
+) -> Result<Vec<u8>> {
+    const GAP: usize = 8;
+    // Wide enough for the longest line.
+    let letters = pictures.iter().flat_map(|p| &p.1).map(|l| l.chars().count()).max().unwrap_or(0);
+    let zoom = (letters * LETTER[0]).div_ceil(width.max(1)).max(1);
+    let lines = pictures.iter().map(|p| p.1.len()).max().unwrap_or(0);
+    let step = width * zoom + GAP;
+    let below = GAP + height * zoom + GAP / 2;
+    let mut canvas = Canvas::new(GAP + step * pictures.len(), below + lines * (LETTER[1] + 2) + GAP, WHITE);
+    for (k, (bytes, caption)) in pictures.iter().enumerate() {
+        let left = GAP + k * step;
+        for (at, rgb) in bytes.chunks_exact(3).enumerate() {
+            let corner = [left + at % width * zoom, GAP + at / width * zoom];
+            canvas.fill(corner, [zoom; 2], [rgb[0], rgb[1], rgb[2]]);
+        }
+        for (line, text) in caption.iter().enumerate() {
+            canvas.text(text, [left, below + line * (LETTER[1] + 2)], BLACK);
+        }
+    }
+    let (w, h) = (canvas.width, canvas.height);
+    png(w, h, &canvas.into_bytes())
 }

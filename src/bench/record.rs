@@ -129,6 +129,40 @@ impl Series {
         &mut self.points[k]
     }
 
+    /// The value of `wanted` where `error` comes down to `level` as `cost` grows: between the points interpolated on logarithmic
+    /// axes, over those alone that are better than all cheaper ones. Medians of resolved points; none where the series does not
+    /// get there. With it, whether the cheapest point is good enough already.
+    pub fn where_reached(
+        &self,
+        cost: &str,
+        (error, level): (&str, f64),
+        wanted: &str,
+    ) -> Option<(f64, bool)> {
+        let mut points: Vec<[f64; 3]> = self
+            .points
+            .iter()
+            .filter(|p| !p.unresolved)
+            .filter_map(|p| {
+                let median = |q: &str| p.summary(q).map(|s| s.median);
+                Some([median(cost)?, median(error)?, median(wanted)?])
+            })
+            .collect();
+        points.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        let mut best = f64::INFINITY;
+        points.retain(|p| {
+            let better = p[1] < best;
+            best = best.min(p[1]);
+            better
+        });
+        let k = points.iter().position(|p| p[1] <= level)?;
+        let (b, a) = (points[k], points[k.saturating_sub(1)]);
+        if k == 0 || b[1] <= 0.0 || a[2] <= 0.0 || b[2] <= 0.0 {
+            return Some((b[2], k == 0));
+        }
+        let t = (a[1] / level).ln() / (a[1] / b[1]).ln();
+        Some((a[2] * (b[2] / a[2]).powf(t), false))
+    }
+
     /// The exponent `k` of `y ~ x^k` by least squares on logarithms of medians, over the points that are
     /// resolved and positive; none with less than three.
     pub fn exponent(&self, x: &str, y: &str) -> Option<Exponent> {
@@ -259,6 +293,9 @@ pub struct Strip {
     pub scale: Option<f64>,
     /// The pictures.
     pub pictures: Vec<Picture>,
+    /// All of them with their captions as one picture.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub whole: Option<Picture>,
 }
 
 /// One scene or case of a group.

@@ -29,6 +29,41 @@ pub fn embedded(name: &str) -> Result<Scene> {
     load(&folder.path().join(format!("{name}.toml")))
 }
 
+/// What the glossy Cornell box holds beside its floor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Glossy {
+    /// A tall box that mirrors.
+    Mirror,
+    /// A ceiling that glows as a whole.
+    Ceiling,
+}
+
+/// The Cornell box with a glossy floor of this roughness.
+pub fn glossy_cornell(roughness: f64, with: Glossy) -> Result<Scene> {
+    let folder = tempfile::tempdir().map_err(|e| Error::io(std::env::temp_dir(), e))?;
+    write_embedded("cornell", folder.path())?;
+    let (object, material, entries) = match with {
+        Glossy::Mirror => ("tall_box", "mirror", "diffuse = 0.0\nspecular = 0.9\nroughness = 0"),
+        Glossy::Ceiling => ("ceiling", "glow", "diffuse = 0.5\nemission = 1.0"),
+    };
+    let change = |file: &str, change: &dyn Fn(&str) -> String| {
+        let path = folder.path().join(file);
+        let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, e))?;
+        std::fs::write(&path, change(&text)).map_err(|e| Error::io(&path, e))
+    };
+    change("cornell.obj", &|obj| {
+        let glossy = obj.replace("o floor\nusemtl white", "o floor\nusemtl gloss");
+        glossy.replace(&format!("o {object}\nusemtl white"), &format!("o {object}\nusemtl {material}"))
+    })?;
+    change("cornell.toml", &|toml| {
+        format!(
+            "{toml}\n[materials.gloss]\ndiffuse = 0.3\nspecular = 0.5\nroughness = {roughness:?}\n\
+             [materials.{material}]\n{entries}\n"
+        )
+    })?;
+    load(&folder.path().join("cornell.toml"))
+}
+
 /// Writes the files of a scene of [`SCENES`] into a folder.
 pub fn write_embedded(name: &str, folder: &Path) -> Result<()> {
     let Some((_, files)) = SCENES.iter().find(|s| s.0 == name) else {

@@ -1,5 +1,6 @@
 //! Images: one value, written and read through OpenImageIO, compared with a reference.
 
+pub(crate) mod canvas;
 mod compare;
 mod difference;
 mod false_colour;

@@ -29,6 +29,9 @@ pub fn to_markdown(suite: &Suite) -> String {
                 let file = super::plot::file(group, subject, k);
                 let _ = write!(out, "\n![{}]({file})\n\n{}\n", chart.title, chart.about);
             }
+            for (strip, whole) in subject.strips.iter().filter_map(|s| Some((s, s.whole.as_ref()?))) {
+                let _ = write!(out, "\n![{}]({})\n\n{}\n", strip.title, whole.file, strip.about);
+            }
             for note in &subject.notes {
                 let _ = write!(out, "\n{note}\n");
             }

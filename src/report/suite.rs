@@ -32,7 +32,7 @@ pub fn write(suite: &Suite, folder: &Path) -> Result<()> {
                 let svg = plot::to_svg(subject, chart)?;
                 write_whole(&folder.join(plot::file(group, subject, k)), svg.as_bytes())?;
             }
-            for picture in subject.strips.iter().flat_map(|s| &s.pictures) {
+            for picture in subject.strips.iter().flat_map(|s| s.pictures.iter().chain(&s.whole)) {
                 write_whole(&folder.join(&picture.file), &picture.png)?;
             }
         }
@@ -48,7 +48,8 @@ pub fn read(folder: &Path) -> Result<Suite> {
     let mut suite: Suite =
         serde_json::from_str(&text).map_err(|e| Error::parse(&path, Some(e.line()), e.to_string()))?;
     let subjects = suite.groups.iter_mut().flat_map(|g| &mut g.subjects);
-    for picture in subjects.flat_map(|s| &mut s.strips).flat_map(|s| &mut s.pictures) {
+    let strips = subjects.flat_map(|s| &mut s.strips);
+    for picture in strips.flat_map(|s| s.pictures.iter_mut().chain(&mut s.whole)) {
         load(picture, folder)?;
     }
     Ok(suite)

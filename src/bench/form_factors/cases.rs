@@ -3,7 +3,7 @@
 use super::Method;
 use crate::Result;
 use crate::bench::{Context, Files, embedded};
-use crate::hard_cases::build::sphere;
+use crate::hard_cases::build::{Point, box_sides, sphere, turned};
 use crate::mesh::{Mesh, Sides};
 use crate::scene::Scene;
 
@@ -71,19 +71,19 @@ impl Configuration {
             Answer::Pairs { .. } => Some(Method::Pairs),
             Answer::Rows { .. } => None,
         });
-        methods.extend([Method::Centre, Method::Grid(8), Method::Grid(32)]);
+        methods.extend([Method::Centre, Method::Grid(8), Method::Grid(32), Method::Turned(8)]);
         methods
     }
 }
 
 /// All configurations, the simple ones first.
 pub(super) fn configurations(context: &Context) -> Result<Vec<Configuration>> {
-    let longest = context.choose(0.01, 0.1);
+    let longest = context.choose(0.01, 0.25);
     let make = |name, title, about, scene: Scene, size: f64, answer, closed| -> Result<Configuration> {
         let mesh = Mesh::new(&scene, &Sides::fronts(&scene), size, true)?;
         Ok(Configuration { name, title, about, scene, mesh, answer, closed, longest, sample: None })
     };
-    let pairs = Answer::Pairs { points: context.choose(8, 128) };
+    let pairs = Answer::Pairs { points: context.choose(8, 64) };
     let mut all = vec![
         make(
             "parallel",
@@ -147,54 +147,63 @@ pub(super) fn configurations(context: &Context) -> Result<Vec<Configuration>> {
             "Cornell box",
             "The Cornell box of the repository, open at its front.",
             embedded("cornell")?,
-            0.0704,
+            context.choose(0.14, 0.0704),
             pairs,
             false,
         )?,
         make(
             "many",
             "Many elements",
-            "The room of scenes/music_lesson as more than 20,000 elements. Rows have far more entries than most methods take samples, so \
+            "The room of scenes/music_lesson as more than 20,000 elements (fewer in a quick run). Rows have far more entries than most methods take samples, so \
              single factors are noise until there are many rays or pixels; sums of them are not.",
             embedded("music_lesson")?,
-            0.1075,
+            context.choose(0.25, 0.1075),
             Answer::Rows { rays: context.choose(1 << 18, 1 << 22) },
             false,
         )?,
     ];
     if let Some(many) = all.last_mut() {
-        many.longest = context.choose(4.0, 16.0);
-        many.sample = Some(Sample::new(many.mesh.len(), context.choose(128, 512), context.choose(16, 32)));
+        many.longest = context.choose(0.5, 16.0);
+        many.sample = Some(Sample::new(many.mesh.len(), context.choose(64, 512), context.choose(8, 32)));
     }
     Ok(all)
 }
 
-/// Unit squares at z = 0 and above it that face each other.
-fn parallel(distance: f64) -> Result<Scene> {
+/// Adds a grey polygon, turned out of the axes: where elements lie along the axes of hemi-cubes, pixels fit them or miss
+/// them all alike, which tells nothing of other scenes.
+fn add(files: &mut Files, object: &str, points: &[Point]) {
+    let axis = [1.0, 2.0, 3.0].map(|x: f64| x / 14f64.sqrt());
+    let turn = turned(axis, 0.7);
+    let points: Vec<Point> = points.iter().map(|p| turn(*p)).collect();
+    files.polygon(object, "grey", &points);
+}
+
+fn grey() -> Files {
     let mut files = Files::default();
     files.diffuse("grey", 0.5, 0.0);
+    files
+}
+
+/// Unit squares at z = 0 and above it that face each other.
+fn parallel(distance: f64) -> Result<Scene> {
+    let mut files = grey();
     let floor = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]];
     let mut roof = floor.map(|[x, y, _]| [x, y, distance]);
     roof.reverse();
-    files.polygon("floor", "grey", &floor).polygon("roof", "grey", &roof).load()
+    add(&mut files, "floor", &floor);
+    add(&mut files, "roof", &roof);
+    files.load()
 }
 
 /// Unit squares z = 0 and x = 0 that share the y axis, each cut at these distances from it.
 fn right_angle(cuts: &[f64]) -> Result<Scene> {
-    let mut files = Files::default();
-    files.diffuse("grey", 0.5, 0.0);
+    let mut files = grey();
     let mut near = 0.0;
     for &far in cuts {
-        files.polygon(
-            "floor",
-            "grey",
-            &[[near, 0.0, 0.0], [far, 0.0, 0.0], [far, 1.0, 0.0], [near, 1.0, 0.0]],
-        );
-        files.polygon(
-            "wall",
-            "grey",
-            &[[0.0, 0.0, near], [0.0, 1.0, near], [0.0, 1.0, far], [0.0, 0.0, far]],
-        );
+        let floor = [[near, 0.0, 0.0], [far, 0.0, 0.0], [far, 1.0, 0.0], [near, 1.0, 0.0]];
+        let wall = [[0.0, 0.0, near], [0.0, 1.0, near], [0.0, 1.0, far], [0.0, 0.0, far]];
+        add(&mut files, "floor", &floor);
+        add(&mut files, "wall", &wall);
         near = far;
     }
     files.load()
@@ -206,20 +215,17 @@ fn graded() -> Vec<f64> {
 }
 
 fn spheres() -> Result<Scene> {
-    let mut files = Files::default();
-    files.diffuse("grey", 0.5, 0.0);
+    let mut files = grey();
     for (name, radius, inside) in [("inner", 0.5, false), ("outer", 1.0, true)] {
         for facet in sphere(radius, 4, inside) {
-            files.polygon(name, "grey", &facet);
+            add(&mut files, name, &facet);
         }
     }
     files.load()
 }
 
 fn occluded_room() -> Result<Scene> {
-    use crate::hard_cases::build::box_sides;
-    let mut files = Files::default();
-    files.diffuse("grey", 0.5, 0.0);
+    let mut files = grey();
     for (name, origin, size, inside) in [
         ("room", [0.0, 0.0, 0.0], [4.0, 3.0, 2.5], true),
         // Clear of the walls: no element is covered in part.
@@ -227,7 +233,7 @@ fn occluded_room() -> Result<Scene> {
         ("table", [2.6, 0.7, 0.7], [0.9, 1.4, 0.05], false),
     ] {
         for (side, points) in box_sides(origin, size, inside) {
-            files.polygon(&format!("{name}-{side}"), "grey", &points);
+            add(&mut files, &format!("{name}-{side}"), &points);
         }
     }
     files.load()

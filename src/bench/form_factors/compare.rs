@@ -6,8 +6,8 @@ use crate::bench::{Context, Measurements, threads_in_words};
 use crate::report::text;
 
 /// RMS errors at which methods are compared.
-const LEVELS: [f64; 9] = [0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5];
-const CUBES: [Method; 3] = [Method::Centre, Method::Grid(8), Method::Grid(32)];
+const LEVELS: [f64; 11] = [3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5];
+const CUBES: [Method; 4] = [Method::Centre, Method::Grid(8), Method::Grid(32), Method::Turned(8)];
 const RAYS: [Method; 3] = [Method::Sobol, Method::Reciprocity, Method::Pairs];
 
 const HEMISPHERE: &str = "hemisphere rays";
@@ -23,40 +23,17 @@ struct Need {
     seconds: f64,
     /// Directions an element.
     directions: Option<f64>,
+    /// The fastest setting of the sweep is good enough: anything faster was not tried.
+    at_once: bool,
 }
 
-/// What a method needs for an RMS error of `level` or less: between the points of its sweep interpolated on logarithmic axes,
-/// over those points alone that are better than all faster ones. Medians; none where the sweep does not get there.
+/// What a method needs for an RMS error of `level` or less; none where its sweep does not get there.
 fn need(subject: &Subject, method: Method, threads: usize, level: f64) -> Option<Need> {
     let name = series_name(method, threads);
     let series = subject.series.iter().find(|s| s.name == name)?;
-    let mut points: Vec<[f64; 3]> = series
-        .points
-        .iter()
-        .filter(|p| !p.unresolved)
-        .filter_map(|p| {
-            let median = |q: &str| p.summary(q).map(|s| s.median);
-            Some([median(TIME)?, median(RMS)?, median(DIRECTIONS).unwrap_or(0.0)])
-        })
-        .collect();
-    points.sort_by(|a, b| a[0].total_cmp(&b[0]));
-    let mut best = f64::INFINITY;
-    points.retain(|p| {
-        let better = p[1] < best;
-        best = best.min(p[1]);
-        better
-    });
-    let k = points.iter().position(|p| p[1] <= level)?;
-    let at = |i: usize| {
-        let (b, a) = (points[k], points[k.saturating_sub(1)]);
-        if k == 0 || a[1] <= 0.0 || b[1] <= 0.0 || a[i] <= 0.0 {
-            return b[i];
-        }
-        let t = (a[1] / level).ln() / (a[1] / b[1]).ln();
-        a[i] * (b[i] / a[i]).powf(t)
-    };
-    let directions = Some(at(2)).filter(|d| *d > 0.0);
-    Some(Need { series: method.name(), seconds: at(0), directions })
+    let (seconds, at_once) = series.where_reached(TIME, (RMS, level), TIME)?;
+    let directions = series.where_reached(TIME, (RMS, level), DIRECTIONS).map(|d| d.0);
+    Some(Need { series: method.name(), seconds, directions, at_once })
 }
 
 /// The fastest of several methods.
@@ -75,23 +52,31 @@ fn finest(subject: &Subject, methods: &[Method], threads: usize) -> Option<f64> 
 /// One level of a configuration at which rays and hemi-cubes meet.
 struct Meeting {
     level: f64,
-    rays: Need,
+    /// Hemisphere rays, where they get there.
+    rays: Option<Need>,
+    /// The best of all ray-cast methods.
     best: Need,
     cubes: Need,
 }
 
+impl Meeting {
+    /// Hemisphere rays get there, but later than the best hemi-cube.
+    fn rays_are_slower(&self) -> bool {
+        self.rays.as_ref().is_some_and(|r| r.seconds > self.cubes.seconds)
+    }
+}
+
+/// Levels that rays and hemi-cubes both reach, but those for which the fastest setting of each will do.
 fn meetings(subject: &Subject, threads: usize) -> Vec<Meeting> {
-    LEVELS
-        .into_iter()
-        .filter_map(|level| {
-            Some(Meeting {
-                level,
-                rays: need(subject, Method::Sobol, threads, level)?,
-                best: best(subject, &RAYS, threads, level)?,
-                cubes: best(subject, &CUBES, threads, level)?,
-            })
+    let meeting = |level| {
+        Some(Meeting {
+            level,
+            rays: need(subject, Method::Sobol, threads, level),
+            best: best(subject, &RAYS, threads, level)?,
+            cubes: best(subject, &CUBES, threads, level)?,
         })
-        .collect()
+    };
+    LEVELS.into_iter().filter_map(meeting).filter(|m| !(m.best.at_once && m.cubes.at_once)).collect()
 }
 
 /// Puts a summary before the configurations, and its sentences below each.
@@ -109,20 +94,21 @@ pub(super) fn compared(context: &Context, mut subjects: Vec<Subject>) -> Measure
         let found = meetings(subject, threads);
         for m in &found {
             let point = summary.series(&subject.name, "RMS error, %").at(100.0 * m.level);
-            point.push(HEMISPHERE, Unit::Seconds, m.rays.seconds);
+            if let Some(rays) = &m.rays {
+                point.push(HEMISPHERE, Unit::Seconds, rays.seconds);
+                point.push(SPEED, Unit::Plain, m.cubes.seconds / rays.seconds);
+            }
             point.push(BEST_RAYS, Unit::Seconds, m.best.seconds);
             point.push(BEST_CUBES, Unit::Seconds, m.cubes.seconds);
-            point.push(SPEED, Unit::Plain, m.cubes.seconds / m.rays.seconds);
             point.push(BEST_SPEED, Unit::Plain, m.cubes.seconds / m.best.seconds);
         }
         if let Some(m) = found.last() {
             fastest.push(m.cubes.seconds / m.best.seconds);
         }
-        let is_slower = |f: &dyn Fn(&Meeting) -> f64| found.iter().any(|m| f(m) > m.cubes.seconds);
-        if is_slower(&|m| m.rays.seconds) {
+        if found.iter().any(Meeting::rays_are_slower) {
             slower.push(subject.name.clone());
         }
-        if is_slower(&|m| m.best.seconds) {
+        if found.iter().any(|m| m.best.seconds > m.cubes.seconds) {
             all_slower.push(subject.name.clone());
         }
         let faces = subject.title.rsplit(", ").next().unwrap_or_default().to_string();
@@ -176,58 +162,52 @@ fn times(x: f64) -> String {
     text::value(x, Unit::Plain)
 }
 
-/// `3.00 times as fast`, or `1.20 times slower`.
+/// `3.00 times as fast as`, or `1.20 times slower than`.
 fn speed(own: f64, other: f64) -> String {
     if own <= other {
-        format!("{} times as fast", times(other / own))
+        format!("{} times as fast as", times(other / own))
     } else {
-        format!("{} times slower", times(own / other))
+        format!("{} times slower than", times(own / other))
     }
 }
 
 fn sentences(subject: &Subject, found: &[Meeting], threads: usize, faces: &str) -> Vec<String> {
     let mut said = Vec::new();
-    let Some(last) = found.last() else {
-        let of = |methods: &[Method]| finest(subject, methods, threads).map_or("-".into(), percent);
-        said.push(format!(
-            "Rays and hemi-cubes did not reach a common RMS error within their time: {} by hemisphere rays, {} by hemi-cubes at best.",
-            of(&[Method::Sobol]),
-            of(&CUBES)
-        ));
-        return said;
-    };
     let seconds = |n: &Need| text::value(n.seconds, Unit::Seconds);
-    let slower: Vec<&Meeting> = found.iter().filter(|m| m.rays.seconds > m.cubes.seconds).collect();
-    let levels = |of: &[&Meeting]| of.iter().map(|m| percent(m.level)).collect::<Vec<_>>().join(", ");
-    said.push(match slower.len() {
-        0 => format!("Hemisphere rays are faster than the best hemi-cube at every RMS error that both reach ({}).", {
-            levels(&found.iter().collect::<Vec<_>>())
-        }),
-        k if k == found.len() => {
-            format!("Hemisphere rays are slower than the best hemi-cube at every RMS error that both reach ({}).", levels(&slower))
+    let met: Vec<(&Meeting, &Need)> = found.iter().filter_map(|m| Some((m, m.rays.as_ref()?))).collect();
+    let slower = |m: &(&Meeting, &Need)| m.0.rays_are_slower();
+    let levels = |wanted: bool| {
+        let of = met.iter().filter(|m| slower(m) == wanted).map(|m| percent(m.0.level));
+        of.collect::<Vec<_>>().join(", ")
+    };
+    let which = match (levels(true), levels(false)) {
+        (s, f) if s.is_empty() && f.is_empty() => None,
+        (s, f) if s.is_empty() => {
+            Some(format!("faster than the best hemi-cube at every RMS error that both reach ({f})"))
         }
-        _ => format!(
-            "Hemisphere rays are slower than the best hemi-cube at RMS errors of {}, and faster at the other ones that both reach.",
-            levels(&slower)
-        ),
-    });
+        (s, f) if f.is_empty() => {
+            Some(format!("slower than the best hemi-cube at every RMS error that both reach ({s})"))
+        }
+        (s, f) => Some(format!("slower than the best hemi-cube at RMS errors of {s}, and faster at {f}")),
+    };
+    said.extend(which.map(|w| format!("Hemisphere rays are {w}.")));
     // Where it is worst for the rays; the finest error where they always win.
-    let worst = slower
-        .iter()
-        .max_by(|a, b| (a.rays.seconds / a.cubes.seconds).total_cmp(&(b.rays.seconds / b.cubes.seconds)))
-        .map_or(last, |m| *m);
-    said.push(format!(
-        "At {} the rays take {} and {} {}: the rays are {}.{}",
-        percent(worst.level),
-        seconds(&worst.rays),
-        worst.cubes.series,
-        seconds(&worst.cubes),
-        speed(worst.rays.seconds, worst.cubes.seconds),
-        why(worst, faces)
-    ));
-    if last.best.series != last.rays.series {
+    let ratio = |m: &(&Meeting, &Need)| m.1.seconds / m.0.cubes.seconds;
+    let worst = met.iter().filter(|m| slower(m)).max_by(|a, b| ratio(a).total_cmp(&ratio(b))).or(met.last());
+    if let Some((m, rays)) = worst {
         said.push(format!(
-            "At {}, the smallest RMS error that rays and hemi-cubes both reach, {} takes {}: {} as {}.",
+            "At {} the rays take {}, {} the best hemi-cube ({}, {}).{}",
+            percent(m.level),
+            seconds(rays),
+            speed(rays.seconds, m.cubes.seconds),
+            m.cubes.series,
+            seconds(&m.cubes),
+            why(rays, &m.cubes, faces)
+        ));
+    }
+    if let Some(last) = found.last().filter(|m| m.best.series != Method::Sobol.name()) {
+        said.push(format!(
+            "At {}, the smallest RMS error that any ray-cast method and hemi-cubes both reach, \"{}\" takes {}, {} the best hemi-cube ({}).",
             percent(last.level),
             last.best.series,
             seconds(&last.best),
@@ -235,22 +215,30 @@ fn sentences(subject: &Subject, found: &[Meeting], threads: usize, faces: &str) 
             last.cubes.series
         ));
     }
-    let [rays, cubes] = [&RAYS[..], &CUBES[..]].map(|m| finest(subject, m, threads));
-    if let (Some(rays), Some(cubes)) = (rays, cubes) {
+    let exact = series_name(Method::Exact, threads);
+    let exact = subject.series.iter().find(|s| s.name == exact).and_then(|s| s.points.first());
+    if let Some((time, error)) = exact.and_then(|p| Some((p.summary(TIME)?, p.summary(RMS)?))) {
         said.push(format!(
-            "Smallest RMS error within the sweeps' time: {} by rays, {} by hemi-cubes.",
-            percent(rays),
-            percent(cubes)
+            "Nothing lies between these elements: closed forms take {} for an RMS error of {}.",
+            text::value(time.median, Unit::Seconds),
+            percent(error.median)
         ));
     }
+    let of = |methods: &[Method]| finest(subject, methods, threads).map_or("-".into(), percent);
+    said.push(format!(
+        "Smallest RMS error within the sweeps' time: {} by hemisphere rays, {} by the best ray-cast method, {} by hemi-cubes.",
+        of(&[Method::Sobol]),
+        of(&RAYS),
+        of(&CUBES)
+    ));
     said
 }
 
 /// The ratio of times as a product: how many directions each needs, and what one costs.
-fn why(m: &Meeting, faces: &str) -> String {
-    let (Some(rays), Some(cubes)) = (m.rays.directions, m.cubes.directions) else { return String::new() };
+fn why(by_rays: &Need, by_cubes: &Need, faces: &str) -> String {
+    let (Some(rays), Some(cubes)) = (by_rays.directions, by_cubes.directions) else { return String::new() };
     let number = rays / cubes;
-    let cost = m.rays.seconds / m.cubes.seconds / number;
+    let cost = by_rays.seconds / by_cubes.seconds / number;
     let mut text = format!(
         " They need {} times as many directions as the hemi-cubes have pixels ({} against {}), and a ray costs {} times what a pixel does.",
         times(number),
@@ -258,7 +246,7 @@ fn why(m: &Meeting, faces: &str) -> String {
         text::value(cubes, Unit::Count),
         times(cost)
     );
-    if m.rays.seconds <= m.cubes.seconds {
+    if by_rays.seconds <= by_cubes.seconds {
         return text;
     }
     if cost > 1.0 {
@@ -323,7 +311,7 @@ mod tests {
         // 30, 10, 3 and 1 %.
         assert_eq!(count, 4);
         assert!(text.contains("slower than the best hemi-cube at every RMS error"), "{text}");
-        assert!(text.contains("the rays are 4.00 times slower"), "{text}");
+        assert!(text.contains("take 0.200 s, 4.00 times slower than the best"), "{text}");
         assert!(
             text.contains("0.500 times as many directions") && text.contains("costs 8.00 times"),
             "{text}"
@@ -336,7 +324,7 @@ mod tests {
         );
         let (_, text) = made(&fast, &slow);
         assert!(text.contains("faster than the best hemi-cube at every RMS error"), "{text}");
-        assert!(text.contains("the rays are 4.00 times as fast") && !text.contains("to draw"), "{text}");
+        assert!(text.contains("4.00 times as fast as the best") && !text.contains("to draw"), "{text}");
         let (count, text) = made(&[(1.0, 0.5, 10.0)], &[(1.0, 0.9, 10.0)]);
         assert_eq!(count, 0);
         assert!(

@@ -42,6 +42,8 @@ enum Method {
     Centre,
     /// n x n hemi-cubes of so many pixels along an edge.
     Grid(u32),
+    /// The same, each turned at random about the normal and placed at random within its part.
+    Turned(u32),
 }
 
 impl Method {
@@ -54,6 +56,7 @@ impl Method {
             Method::Exact => "exact".into(),
             Method::Centre => "hemi-cube, centre".into(),
             Method::Grid(pixels) => format!("hemi-cubes n x n, {pixels} px"),
+            Method::Turned(pixels) => format!("hemi-cubes n x n, {pixels} px, turned"),
         }
     }
 
@@ -64,7 +67,7 @@ impl Method {
             Method::Pairs => "points a pair",
             Method::Exact => "relative accuracy asked for, 10^-",
             Method::Centre => "pixels along an edge",
-            Method::Grid(_) => "hemi-cubes along an edge",
+            Method::Grid(_) | Method::Turned(_) => "hemi-cubes along an edge",
         }
     }
 
@@ -75,7 +78,7 @@ impl Method {
             Method::Pairs => (0..=6).map(|k| 8 << (2 * k)).collect(),
             Method::Exact => vec![3, 5, 7, 9],
             Method::Centre => (2..=11).map(|k| 1 << k).collect(),
-            Method::Grid(_) => (1..=7).map(|k| 1 << k).collect(),
+            Method::Grid(_) | Method::Turned(_) => (1..=7).map(|k| 1 << k).collect(),
         }
     }
 
@@ -86,7 +89,7 @@ impl Method {
         match self {
             Method::Random | Method::Sobol | Method::Reciprocity => Some(f64::from(setting)),
             Method::Centre => Some(cube(setting)),
-            Method::Grid(pixels) => Some(cube(pixels) * f64::from(setting).powi(2)),
+            Method::Grid(pixels) | Method::Turned(pixels) => Some(cube(pixels) * f64::from(setting).powi(2)),
             Method::Pairs | Method::Exact => None,
         }
     }
@@ -131,8 +134,8 @@ impl Method {
             emitters: None,
             progress: &|_| (),
         };
-        let cubes = |resolution: u32, grid: u32| {
-            let settings = HemicubeSettings { resolution, grid, rotations: 0, seed };
+        let cubes = |resolution: u32, grid: u32, rotations: u32| {
+            let settings = HemicubeSettings { resolution, grid, rotations, seed };
             hemicube(scene, mesh, &settings, rows, &|_| ())
         };
         match self {
@@ -154,8 +157,9 @@ impl Method {
                 let work = PairWork { tolerance, unoccluded: true, ..work };
                 of_pairs(PairFactors::new(&tree()?, mesh, &work))
             }
-            Method::Centre => of_matrix(cubes(setting, 1)),
-            Method::Grid(pixels) => of_matrix(cubes(pixels, setting)),
+            Method::Centre => of_matrix(cubes(setting, 1, 0)),
+            Method::Grid(pixels) => of_matrix(cubes(pixels, setting, 0)),
+            Method::Turned(pixels) => of_matrix(cubes(pixels, setting, 1)),
         }
     }
 }

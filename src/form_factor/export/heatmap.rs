@@ -1,8 +1,8 @@
 //! The matrix as a picture.
 
 use super::Factors;
-use super::canvas::{BLACK, Canvas, LETTER, Srgb, WHITE, shortened, width};
 use crate::image::Image;
+use crate::image::canvas::{BLACK, Canvas, LETTER, Srgb, WHITE, shortened, width};
 
 /// Sides of the matrix in the picture, about: few nodes are drawn large, many are put together.
 const LONGEST: usize = 1000;

@@ -1,6 +1,5 @@
 //! Form factors as data that every format is made of: small functions from [`Factors`] to bytes or pixels.
 
-mod canvas;
 mod heatmap;
 mod npz;
 mod text;

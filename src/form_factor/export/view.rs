@@ -1,9 +1,9 @@
 //! What an element sees, as a picture.
 
-use super::canvas::{BLACK, Canvas, LETTER, Srgb, WHITE, category, shortened, width};
 use crate::form_factor::{DeltaFactors, item_image};
 use crate::geometry::Frame;
 use crate::image::Image;
+use crate::image::canvas::{BLACK, Canvas, LETTER, Srgb, WHITE, category, shortened, width};
 use crate::mesh::{Mesh, NONE};
 use crate::scene::Scene;
 use crate::visibility::Visibility;

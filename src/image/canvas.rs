@@ -1,7 +1,7 @@
 //! Pixels and letters for diagrams: an [`Image`] that `embedded-graphics` draws on.
 
+use super::Image;
 use crate::color::srgb_decode;
-use crate::image::Image;
 use embedded_graphics::mono_font::MonoTextStyle;
 use embedded_graphics::mono_font::iso_8859_1::FONT_7X13;
 use embedded_graphics::pixelcolor::Rgb888;
@@ -10,15 +10,15 @@ use embedded_graphics::text::{Baseline, Text};
 use std::convert::Infallible;
 
 /// Width and height of a letter.
-pub(super) const LETTER: [usize; 2] = [7, 13];
+pub(crate) const LETTER: [usize; 2] = [7, 13];
 
 /// An sRGB colour.
-pub(super) type Srgb = [u8; 3];
-pub(super) const WHITE: Srgb = [255; 3];
-pub(super) const BLACK: Srgb = [0; 3];
+pub(crate) type Srgb = [u8; 3];
+pub(crate) const WHITE: Srgb = [255; 3];
+pub(crate) const BLACK: Srgb = [0; 3];
 
 /// A picture under way, in sRGB.
-pub(super) struct Canvas {
+pub(crate) struct Canvas {
     pub width: usize,
     pub height: usize,
     pixels: Vec<Srgb>,
@@ -64,6 +64,11 @@ impl Canvas {
         }
     }
 
+    /// The picture's bytes, as [`super::png`] expects them.
+    pub fn into_bytes(self) -> Vec<u8> {
+        self.pixels.into_flattened()
+    }
+
     /// The picture as linear radiance, as [`crate::image::write`] expects it.
     pub fn into_image(self) -> Image {
         let linear: Vec<f32> = (0..256).map(|v| srgb_decode(f64::from(v) / 255.0) as f32).collect();
@@ -73,12 +78,12 @@ impl Canvas {
 }
 
 /// Width of a text in pixels.
-pub(super) fn width(text: &str) -> usize {
+pub(crate) fn width(text: &str) -> usize {
     LETTER[0] * text.chars().count()
 }
 
 /// A text that fits in so many letters: long ones end in dots.
-pub(super) fn shortened(text: &str, letters: usize) -> String {
+pub(crate) fn shortened(text: &str, letters: usize) -> String {
     if text.chars().count() <= letters {
         return text.into();
     }
@@ -86,7 +91,7 @@ pub(super) fn shortened(text: &str, letters: usize) -> String {
 }
 
 /// Colour of the k-th of several things: ten well-known ones, then hues that no neighbour has.
-pub(super) fn category(k: usize) -> Srgb {
+pub(crate) fn category(k: usize) -> Srgb {
     match colorous::TABLEAU10.get(k) {
         Some(c) => [c.r, c.g, c.b],
         None => {

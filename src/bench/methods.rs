@@ -1,0 +1,364 @@
+//! The methods that the two-pass method joins or was set against, on one scene: a strip of pictures with time and error
+//! under each, and what directions cost where reflections are sharp.
+
+use super::pictures::{exposure, side_by_side};
+use super::record::{Chart, Figure, PARAMETER, Picture, Series, Strip, Subject, Unit};
+use super::reference::{Reference, reference, sees_specular};
+use super::scenes::{Glossy, glossy_cornell};
+use super::view::{ERROR, FIRST, Frame, SPP, View, settings};
+use super::{Context, Measurements};
+use crate::Result;
+use crate::emitters::Emitters;
+use crate::image::{png, srgb_bytes};
+use crate::pipeline::{self, Pass1};
+use crate::render::{Method, Quality, render_directional};
+use crate::report::text;
+use crate::visibility::Visibility;
+use std::time::Instant;
+
+const DIRECTIONS: &str = "directions";
+const STORED: &str = "values stored for directions";
+/// Samples a pixel of pictures by directional radiosity, which interpolate between its elements and directions.
+const FRAME_SPP: u32 = 16;
+
+pub fn run(context: &Context) -> Result<Measurements> {
+    let mut figures = Vec::new();
+    let all = methods(context, &mut figures)?;
+    let sharp = sharpness(context, &mut figures)?;
+    Ok(Measurements { figures, subjects: vec![all, sharp] })
+}
+
+/// A scene with its view and reference, handed to `work`.
+fn with_view<T>(
+    context: &Context,
+    (roughness, with, width, spp): (f64, Glossy, u32, u32),
+    work: impl FnOnce(&View) -> Result<T>,
+) -> Result<T> {
+    let scene = glossy_cornell(roughness, with)?;
+    let visibility = Visibility::new(context.device, &scene)?;
+    let emitters = Emitters::new(&scene);
+    let mut camera = scene.camera(None)?.clone();
+    camera.size = [width, width];
+    let reference = reference(context, &visibility, &emitters, &camera, spp)?;
+    work(&View {
+        context,
+        visibility: &visibility,
+        emitters: &emitters,
+        camera: &camera,
+        reference: &reference,
+    })
+}
+
+/// Directional radiosity: the frame, the seconds before it, values stored for directions and bytes held.
+fn directional(view: &View, pass1: &Pass1, directions: u32) -> Result<(Frame, f64, f64, f64)> {
+    let cameras = std::slice::from_ref(view.camera);
+    let what = (pass1, directions);
+    let start = Instant::now();
+    let solved =
+        pipeline::solve_directional(view.visibility, view.emitters, cameras, what, &|_| (), &mut Vec::new())?;
+    let before = start.elapsed().as_secs_f64();
+    let start = Instant::now();
+    let sampling = (FRAME_SPP, pass1.seed);
+    let (image, rays) =
+        render_directional(view.visibility, view.emitters, &solved, view.camera, sampling, &|_| ());
+    let frame = Frame { image, seconds: start.elapsed().as_secs_f64(), rays };
+    Ok((frame, before, solved.directional_values() as f64, solved.bytes))
+}
+
+/// A picture of the strip: its series, what it varies and at which value, and its image in sRGB.
+struct Shown {
+    series: &'static str,
+    parameter: &'static str,
+    at: f64,
+    first: f64,
+    rgb: Vec<u8>,
+}
+
+fn methods(context: &Context, figures: &mut Vec<Figure>) -> Result<Subject> {
+    let (width, spp) = context.choose((40, 192), (96, 1024));
+    with_view(context, (0.3, Glossy::Mirror, width, spp), |view| {
+        let mut subject = Subject::new(
+            "cornell-glossy",
+            format!("Cornell box with a glossy floor and a mirror, {width} x {width} pixels"),
+            "\"whitted\" is ray tracing with light from lamps alone; \"radiosity\" shows diffuse light alone; both converge to a wrong picture. \
+             \"directional\" stores the radiance of every specular element for every cell of a hemisphere, and needs both finer elements and \
+             more directions for a sharper picture. \"path\" is path tracing. \"two-pass\" is this program's default (quality gather). Times are \
+             those of first frames, solving included.",
+        );
+        let element_size = Some(context.choose(0.1, 0.05));
+        let rays = context.choose(256, 1024);
+        let directions: &[u32] = context.choose(&[16, 64, 256], &[16, 64, 256, 1024]);
+        let mut shown = Vec::new();
+        for round in 0..context.choose(1, 3) {
+            let seed = context.settings.seed.wrapping_add(round);
+            (context.observer)(&format!("methods: seed {seed}"));
+            let pass1 = Pass1 { rays, element_size, seed };
+            if round == 0 {
+                // Warm-up.
+                let (solution, _) = view.solve(&Pass1 { rays: 16, ..pass1 })?;
+                view.frame(&settings(Method::TwoPass(Quality::Gather), 1, seed), Some(&solution));
+            }
+            let (solution, before) = view.solve(&pass1)?;
+            let ev = exposure(view.reference);
+            let mut keep = |series, parameter, at, first, frame: &Frame| {
+                if round == 0 {
+                    shown.push(Shown { series, parameter, at, first, rgb: srgb_bytes(&frame.image, ev) });
+                }
+            };
+            let few = [1, 4, 16];
+            let many: &[u32] = context.choose(&[4, 16, 64], &[4, 16, 64, 256]);
+            for (series, method, samples, solved) in [
+                ("whitted", Method::Whitted, &few[..], false),
+                ("radiosity", Method::Radiosity, &few, true),
+                ("path", Method::Path, many, false),
+                ("two-pass", Method::TwoPass(Quality::Gather), &few, true),
+            ] {
+                for &spp in samples {
+                    let (given, before) = if solved { (Some(&solution), before) } else { (None, 0.0) };
+                    let frame = view.frame(&settings(method, spp, seed), given);
+                    let at = f64::from(spp);
+                    view.record(&mut subject, (series, SPP, at), &frame, before, &view.reference.mask)?;
+                    keep(series, SPP, at, before + frame.seconds, &frame);
+                }
+            }
+            for &n in directions {
+                let (frame, before, stored, bytes) = directional(view, &pass1, n)?;
+                let at = f64::from(n);
+                view.record(
+                    &mut subject,
+                    ("directional", DIRECTIONS, at),
+                    &frame,
+                    before,
+                    &view.reference.mask,
+                )?;
+                let point = subject.series("directional", DIRECTIONS).at(at);
+                point.push(STORED, Unit::Count, stored);
+                point.push("memory for directions", Unit::Bytes, bytes);
+                keep("directional", DIRECTIONS, at, before + frame.seconds, &frame);
+            }
+        }
+        subject.strips.push(strip(view, &subject, shown)?);
+        let mut chart = Chart::new(
+            "First frame: error over time",
+            FIRST,
+            ERROR,
+            "Along each line the samples a pixel grow, or the directions. A line that goes flat has reached what its method or its elements \
+             can show.",
+        )
+        .guide("theory of random sampling: -1/2", -0.5);
+        chart.floor = Some(("smallest error the reference tells".into(), view.reference.resolution));
+        subject.charts.push(chart);
+        subject.notes.push(reference_note(view.reference));
+        figures.extend(at_equal_error(&mut subject));
+        Ok(subject)
+    })
+}
+
+fn reference_note(reference: &Reference) -> String {
+    format!(
+        "Reference: 2 x {} paths a pixel by this program's own path tracer; its halves tell errors down to {}.",
+        reference.spp,
+        text::value(reference.resolution, Unit::Share)
+    )
+}
+
+/// All methods side by side: directional radiosity with its fewest and its most directions, whatever else took about as
+/// long as the two-pass picture with 16 samples a pixel.
+fn strip(view: &View, subject: &Subject, shown: Vec<Shown>) -> Result<Strip> {
+    let [width, height] = view.camera.size.map(|n| n as usize);
+    let of = |series: &str| shown.iter().filter(|s| s.series == series).collect::<Vec<_>>();
+    let budget = of("two-pass").iter().find(|s| s.at == 16.0).map_or(1.0, |s| s.first);
+    let near = |series: &str| {
+        let off = |s: &&Shown| (s.first / budget).ln().abs();
+        of(series).into_iter().min_by(|a, b| off(a).total_cmp(&off(b)))
+    };
+    let directional = of("directional");
+    let chosen = [
+        near("whitted"),
+        near("radiosity"),
+        directional.first().copied(),
+        directional.last().copied().filter(|_| directional.len() > 1),
+        near("path"),
+        near("two-pass"),
+    ];
+    let reference = srgb_bytes(&view.reference.mean, exposure(view.reference));
+    let mut pictures = vec![(
+        "reference".to_string(),
+        reference,
+        vec!["reference".to_string(), format!("{} paths a pixel", 2 * view.reference.spp)],
+    )];
+    for s in chosen.into_iter().flatten() {
+        let series = subject.series.iter().find(|x| x.name == s.series);
+        let point = series.and_then(|x| x.points.iter().find(|p| p.parameter == s.at));
+        // Of the run that is shown.
+        let sample = |q: &str| point.and_then(|p| p.get(q)).map(|m| text::value(m.samples[0], m.unit));
+        let lines = vec![
+            s.series.to_string(),
+            format!("{} {}", text::value(s.at, Unit::Count), s.parameter),
+            sample(FIRST).unwrap_or_default(),
+            format!("relative RMSE {}", sample(ERROR).unwrap_or_default()),
+        ];
+        pictures.push((format!("{}-{}", s.series, s.at), s.rgb.clone(), lines));
+    }
+    let file = |what: &str| format!("pictures/methods-{what}.png");
+    let drawn: Vec<(Vec<u8>, Vec<String>)> = pictures.iter().map(|p| (p.1.clone(), p.2.clone())).collect();
+    let title = "Every method, with its time and error".to_string();
+    let whole =
+        Picture { caption: title.clone(), file: file("strip"), png: side_by_side([width, height], &drawn)? };
+    let pictures = pictures
+        .into_iter()
+        .map(|(name, rgb, lines)| {
+            Ok(Picture { caption: lines.join(", "), file: file(&name), png: png(width, height, &rgb)? })
+        })
+        .collect::<Result<Vec<_>>>()?;
+    let about = "First frames that took about as long as the two-pass picture with 16 samples a pixel, and directional radiosity with its \
+                 fewest and its most directions. Whitted's ray tracing leaves black what no lamp lights. Radiosity leaves black what only reflects. \
+                 Directional radiosity blurs the mirror over its cells and elements.";
+    Ok(Strip { title, about: about.into(), scale: None, pictures, whole: Some(whole) })
+}
+
+/// How much longer the others take to the error that two-pass has with 4 samples a pixel.
+fn at_equal_error(subject: &mut Subject) -> Vec<Figure> {
+    let find = |name: &str| subject.series.iter().find(|s| s.name == name);
+    let Some(point) = find("two-pass").and_then(|s| s.points.iter().find(|p| p.parameter == 4.0)) else {
+        return Vec::new();
+    };
+    let (Some(error), Some(time)) = (point.summary(ERROR), point.summary(FIRST)) else { return Vec::new() };
+    let (mut notes, mut figures) = (Vec::new(), Vec::new());
+    for name in ["whitted", "radiosity", "directional", "path"] {
+        let Some(series) = find(name) else { continue };
+        let words = match series.where_reached(FIRST, (ERROR, error.median), FIRST) {
+            Some((seconds, _)) => {
+                if name == "path" {
+                    figures.push(Figure {
+                        label: "times as long takes path tracing to the error of two-pass, first frame (glossy floor and mirror)".into(),
+                        unit: Unit::Plain,
+                        samples: vec![seconds / time.median],
+                    });
+                }
+                format!("{name} after {}", text::value(seconds, Unit::Seconds))
+            }
+            None => {
+                let errors = series.points.iter().filter_map(|p| p.summary(ERROR)).map(|s| s.median);
+                let least = errors.fold(f64::INFINITY, f64::min);
+                format!("{name} never (its least error is {})", text::value(least, Unit::Share))
+            }
+        };
+        notes.push(words);
+    }
+    let note = format!(
+        "Two-pass with 4 samples a pixel has an error of {} after {}. The others get there: {}.",
+        text::value(error.median, Unit::Share),
+        text::value(time.median, Unit::Seconds),
+        notes.join("; ")
+    );
+    subject.notes.push(note);
+    figures
+}
+
+/// Errors of the glossy floor by directional radiosity, over the directions and the floor's roughness.
+fn sharpness(context: &Context, figures: &mut Vec<Figure>) -> Result<Subject> {
+    let (width, spp) = context.choose((28, 192), (48, 1024));
+    let roughnesses: &[f64] = context.choose(&[0.7, 0.3], &[0.8, 0.6, 0.4, 0.25]);
+    let directions: &[u32] = context.choose(&[16, 64, 256], &[16, 64, 256, 1024]);
+    let element_size = Some(context.choose(0.1, 0.05));
+    let mut subject = Subject::new(
+        "sharpness",
+        "Directions and the sharpness of a highlight",
+        "The same box without the mirror, lit by the whole of its ceiling (no lamp small enough to slip between directions), its floor \
+         from rough to shiny, and only the pixels that show the floor. Directional radiosity \
+         needs the more directions the sharper the floor reflects, and every direction costs a value and a ray for every specular \
+         element. The two-pass method stands beside it with the same elements.",
+    );
+    for &roughness in roughnesses {
+        with_view(context, (roughness, Glossy::Ceiling, width, spp), |view| {
+            let specular = sees_specular(view.visibility, view.camera);
+            let mask: Vec<bool> = specular.iter().zip(&view.reference.mask).map(|(a, b)| *a && *b).collect();
+            for round in 0..context.choose(1, 2) {
+                let seed = context.settings.seed.wrapping_add(round);
+                (context.observer)(&format!("methods: roughness {roughness}, seed {seed}"));
+                let pass1 = Pass1 { rays: context.choose(256, 1024), element_size, seed };
+                let name = format!("directional, roughness {roughness}");
+                for &n in directions {
+                    let (frame, before, stored, bytes) = directional(view, &pass1, n)?;
+                    view.record(&mut subject, (&name, DIRECTIONS, f64::from(n)), &frame, before, &mask)?;
+                    let point = subject.series(&name, DIRECTIONS).at(f64::from(n));
+                    point.push(STORED, Unit::Count, stored);
+                    point.push("memory for directions", Unit::Bytes, bytes);
+                }
+                let (solution, before) = view.solve(&pass1)?;
+                let frame = view.frame(&settings(Method::TwoPass(Quality::Gather), 4, seed), Some(&solution));
+                view.record(
+                    &mut subject,
+                    ("two-pass, 4 samples a pixel", "roughness", roughness),
+                    &frame,
+                    before,
+                    &mask,
+                )?;
+            }
+            Ok(())
+        })?;
+    }
+    let swept: Vec<String> = roughnesses.iter().map(|r| format!("directional, roughness {r}")).collect();
+    let names: Vec<&str> = swept.iter().map(String::as_str).collect();
+    for (title, y, about) in [
+        (
+            "Error over directions",
+            ERROR,
+            "The shinier the floor, the more directions until the error comes down to what the elements can show.",
+        ),
+        ("Time over directions", FIRST, "Links and values grow in proportion to the directions."),
+    ] {
+        subject.charts.push(Chart::new(title, PARAMETER, y, about).only(&names).fitted(&subject.series));
+    }
+    needed(&mut subject, roughnesses, figures);
+    Ok(subject)
+}
+
+/// Directions and time that each roughness needs for the smallest error that all of them reach.
+fn needed(subject: &mut Subject, roughnesses: &[f64], figures: &mut Vec<Figure>) {
+    let series_of = |subject: &Subject, r: f64| -> Option<Series> {
+        subject.series.iter().find(|s| s.name == format!("directional, roughness {r}")).cloned()
+    };
+    let least = |s: &Series| {
+        let errors = s.points.iter().filter_map(|p| p.summary(ERROR)).map(|s| s.median);
+        errors.fold(f64::INFINITY, f64::min)
+    };
+    let all: Vec<Series> = roughnesses.iter().filter_map(|r| series_of(subject, *r)).collect();
+    let level = all.iter().map(least).fold(0.0, f64::max);
+    let name = "directional, to equal error";
+    let mut needs = Vec::new();
+    for (series, &roughness) in all.iter().zip(roughnesses) {
+        let at = |wanted| series.where_reached(PARAMETER, (ERROR, level), wanted);
+        let (Some((directions, at_once)), Some((seconds, _))) = (at(PARAMETER), at(FIRST)) else { continue };
+        let point = subject.series(name, "roughness").at(roughness);
+        point.push("directions needed", Unit::Count, directions);
+        point.push("time needed", Unit::Seconds, seconds);
+        let bound = if at_once { "at most " } else { "" };
+        needs.push((
+            roughness,
+            directions,
+            format!("{bound}{} at roughness {roughness}", text::value(directions.round(), Unit::Count)),
+        ));
+    }
+    if let (Some(first), Some(last)) = (needs.first(), needs.last()) {
+        let words: Vec<&str> = needs.iter().map(|n| n.2.as_str()).collect();
+        subject.notes.push(format!(
+            "For an error of {}, the least that every roughness reached, directional radiosity needs this many directions: {}.",
+            text::value(level, Unit::Share),
+            words.join(", ")
+        ));
+        figures.push(Figure {
+            label: format!("times as many directions needs directional radiosity at roughness {} as at {}, for equal error", last.0, first.0),
+            unit: Unit::Plain,
+            samples: vec![last.1 / first.1],
+        });
+    }
+    let about = "Directions that directional radiosity needs for the same error, the least that every roughness reached. Sharper towards the \
+                 left; the solid angle of a lobe grows with the fourth power of its roughness.";
+    let chart = Chart::new("Directions needed over roughness", PARAMETER, "directions needed", about);
+    subject.charts.push(chart.only(&[name]).fitted(&subject.series));
+    let about = "The two-pass method with 4 samples a pixel on the same pixels, from the same elements.";
+    let chart = Chart::new("Two-pass: error over roughness", PARAMETER, ERROR, about);
+    subject.charts.push(chart.only(&["two-pass, 4 samples a pixel"]));
+}
