@@ -9,7 +9,7 @@ use std::hint::black_box;
 use twopass::bench::embedded;
 use twopass::color::Rgb;
 use twopass::embree::{Device, RayLanes, RayPacket};
-use twopass::form_factor::{Casting, cast, element_rays};
+use twopass::form_factor::{Casting, HemicubeSettings, cast, element_rays, hemicube};
 use twopass::mesh::{Mesh, Sides, default_element_size};
 use twopass::radiosity::{Transport, solve_irradiance};
 use twopass::sampling::SobolTable;
@@ -28,6 +28,7 @@ fn kernels(c: &mut Criterion) {
     let mesh = Mesh::new(&scene, &Sides::fronts(&scene), size, true).expect("a mesh");
     rays(c, &visibility, &mesh);
     rows(c, &scene, &visibility, &mesh);
+    hemicubes(c, &scene, &mesh);
 }
 
 fn rays(c: &mut Criterion, visibility: &Visibility, mesh: &Mesh) {
@@ -84,6 +85,22 @@ fn rows(c: &mut Criterion, scene: &Scene, visibility: &Visibility, mesh: &Mesh) 
     group.bench_function("solution", |b| {
         b.iter(|| solve_irradiance(&matrix, &transport, black_box(&incident), 1e-8).map(|s| s.1.iterations));
     });
+    group.finish();
+}
+
+/// Faces drawn into item buffers and delta factors summed, one hemi-cube an element.
+fn hemicubes(c: &mut Criterion, scene: &Scene, mesh: &Mesh) {
+    let mut group = c.benchmark_group("hemi-cube");
+    group.sample_size(20);
+    for resolution in [8u32, 64] {
+        let settings = HemicubeSettings { resolution, grid: 1, rotations: 0, seed: 0 };
+        // A top and four halves.
+        let pixels = mesh.len() as u64 * 3 * u64::from(resolution).pow(2);
+        group.throughput(Throughput::Elements(pixels));
+        group.bench_function(format!("fill, {resolution} pixels"), |b| {
+            b.iter(|| black_box(hemicube(scene, mesh, &settings, None, &|_| ())));
+        });
+    }
     group.finish();
 }
 

@@ -73,9 +73,23 @@ fn made() -> Suite {
                 unit: Unit::Plain,
                 samples: vec![4.0, 3.9, 4.1],
             }],
-            subjects: vec![subject()],
+            subjects: vec![subject(), words()],
         }],
     }
+}
+
+/// A table of words and numbers: nothing varies, nothing is drawn.
+fn words() -> Subject {
+    let mut subject = Subject::new("cases", "Cases", "What breaks.");
+    for (name, answer, error) in [("edge", "closed | form", Some(0.01)), ("hole", "a warning", None)] {
+        let series = subject.series(name, "");
+        series.words.push(("answer from".into(), answer.into()));
+        series.at(1.0).push("time", Unit::Seconds, 2.0);
+        if let Some(error) = error {
+            series.at(1.0).push("error", Unit::Share, error);
+        }
+    }
+    subject
 }
 
 fn written() -> (tempfile::TempDir, Suite) {
@@ -116,7 +130,9 @@ fn csv_reads_back_whole() {
     assert_eq!(columns, expected);
     let rows: Vec<Vec<String>> =
         reader.records().map(|r| r.unwrap().iter().map(String::from).collect()).collect();
-    assert_eq!(rows.len(), 2 * 3 * 2 * 3);
+    assert_eq!(rows.len(), 2 * 3 * 2 * 3 + 3);
+    assert!(rows.iter().take(36).all(|r| r[10].is_empty()));
+    assert_eq!(rows[36][10], "answer from: closed | form");
     let mut at = rows.iter();
     for series in &suite.groups[0].subjects[0].series {
         for point in &series.points {
@@ -174,6 +190,24 @@ fn the_page_needs_no_other_file() {
     for address in ["http:", "https:", "url(", "<script", "@import", "<link rel=\"stylesheet\""] {
         assert!(!rest.contains(address), "{address}");
     }
+}
+
+#[test]
+fn tables_hold_words_beside_numbers() {
+    let (folder, suite) = written();
+    let cases = &suite.groups[0].subjects[1];
+    let expected = "| | answer from | time | error |\n| --- | --- | --- | --- |\n\
+                    | edge | closed / form | 2.00 s | 1.00 % |\n| hole | a warning | 2.00 s | - |\n";
+    assert_eq!(markdown::table(cases, &markdown::Choice::default()), expected);
+    let html = fs::read_to_string(folder.path().join("report.html")).unwrap();
+    assert!(
+        html.contains("<tr><td>edge</td><td title=\"\">closed | form</td><td title=\"[2.0]\">2.00 s</td>")
+    );
+    // Nothing is drawn: the table stands open.
+    assert_eq!(html.matches("<details open>").count(), 1);
+    let md = fs::read_to_string(folder.path().join("report.md")).unwrap();
+    assert!(md.contains("![Errors](pictures/all.png)"), "{md}");
+    assert_eq!(fs::read(folder.path().join("pictures/all.png")).unwrap()[1..4], *b"PNG");
 }
 
 #[test]
@@ -251,9 +285,19 @@ fn unknown_groups_are_named_beside_the_known() {
 #[test]
 fn a_group_runs_to_its_report() {
     let folder = tempfile::tempdir().unwrap();
-    let (code, out, err) =
-        twopass(&["bench", "memory", "-o", "made/here", "--quick", "--quiet"], folder.path());
-    assert_eq!((code, out.as_str(), err.as_str()), (0, "", ""));
+    let page = folder.path().join("page.md");
+    let run = ["bench", "memory", "-o", "made/here", "--quick", "--quiet", "--tables", "page.md"];
+    // A page that is not there is refused before anything is measured.
+    let (code, _, err) = twopass(&run, folder.path());
+    assert!(code == 1 && err.contains("page.md") && !folder.path().join("made").exists(), "{err}");
+    fs::write(&page, "<!-- bench memory/solve -->\n<!-- /bench -->").unwrap();
+    let (code, out, err) = twopass(&run, folder.path());
+    assert_eq!((code, out.as_str(), err.as_str()), (0, "page.md: memory/solve\n", ""));
+    assert_eq!(fs::read_to_string(&page).unwrap().matches("| 64 rays an element |").count(), 3);
+    // Without groups nothing is measured, quickly or not.
+    let (code, _, err) =
+        twopass(&["bench", "--quick", "--tables", "page.md", "-o", "made/here"], folder.path());
+    assert!(code == 2 && err.contains("--tables"), "{err}");
     let records = folder.path().join("made/here");
     for file in ["bench.csv", "report.md", "report.html", "plots/memory-solve-1.svg"] {
         assert!(records.join(file).is_file(), "{file}");

@@ -4,7 +4,7 @@ use super::foreign::references;
 use super::pictures::{Kept, pictures};
 use super::record::{Chart, Figure, PARAMETER, Point, Subject, Unit};
 use super::reference::{reference, sees_specular};
-use super::view::{ERROR, FIRST, NEXT, SPP, View, settings};
+use super::view::{ERROR, FIRST, FLIP, NEXT, SPP, View, settings};
 use super::{Context, Measurements, embedded};
 use crate::Result;
 use crate::emitters::Emitters;
@@ -77,6 +77,16 @@ fn scene(context: &Context, name: &str, found: &mut Measurements) -> Result<()> 
         .only(&["mesh", "direct", "gather", "path"])
         .guide("theory of random sampling: -1/2", -0.5),
     ));
+    subject.charts.push(
+        Chart::new(
+            "Following frames: perceived difference over time",
+            NEXT,
+            FLIP,
+            "FLIP (Andersson et al. 2020) predicts how much of a difference one sees when the picture and the reference take turns on \
+             a screen: 0 none, 1 as much as can be. It sees the reference's own noise, too, which sets its floor here.",
+        )
+        .only(&["mesh", "direct", "gather", "path"]),
+    );
     subject.charts.push(floored(
         Chart::new(
             "Error over samples a pixel",

@@ -362,3 +362,81 @@ fn needed(subject: &mut Subject, roughnesses: &[f64], figures: &mut Vec<Figure>)
     let chart = Chart::new("Two-pass: error over roughness", PARAMETER, ERROR, about);
     subject.charts.push(chart.only(&["two-pass, 4 samples a pixel"]));
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Points (parameter, time, error) of a series.
+    fn add(subject: &mut Subject, name: &str, parameter: &str, points: &[(f64, f64, f64)]) {
+        for &(at, seconds, error) in points {
+            let point = subject.series(name, parameter).at(at);
+            point.push(FIRST, Unit::Seconds, seconds);
+            point.push(ERROR, Unit::Share, error);
+        }
+    }
+
+    /// Errors that fall with the root of the directions, from 0.4 (rough) and 1.6 (sharp) at 16: to an error of 0.2 they need
+    /// 64 and 1024.
+    #[test]
+    fn sharper_floors_need_more_directions() {
+        let mut s = Subject::new("s", "t", "");
+        let sweep =
+            |first: f64| [16.0, 256.0, 1024.0].map(|n: f64| (n, n / 100.0, first * (16.0 / n).sqrt()));
+        add(&mut s, "directional, roughness 0.8", DIRECTIONS, &sweep(0.4));
+        add(&mut s, "directional, roughness 0.4", DIRECTIONS, &sweep(1.6));
+        let mut figures = Vec::new();
+        needed(&mut s, &[0.8, 0.4], &mut figures);
+        let series = s.series.iter().find(|s| s.name == "directional, to equal error").expect("a series");
+        let at = |k: usize, q: &str| series.points[k].get(q).expect("measured").samples[0];
+        assert!(
+            (at(0, "directions needed") - 64.0).abs() < 1e-9 && (at(0, "time needed") - 0.64).abs() < 1e-9
+        );
+        assert!((at(1, "directions needed") - 1024.0).abs() < 1e-9);
+        assert!((figures[0].samples[0] - 16.0).abs() < 1e-9, "{figures:?}");
+        assert!(
+            s.notes[0].contains("20.0 %") && s.notes[0].contains("1,024 at roughness 0.4"),
+            "{:?}",
+            s.notes
+        );
+    }
+
+    #[test]
+    fn methods_are_compared_at_equal_error() {
+        let mut s = Subject::new("s", "t", "");
+        add(&mut s, "two-pass", SPP, &[(1.0, 0.5, 0.1), (4.0, 1.0, 0.05)]);
+        add(&mut s, "path", SPP, &[(1.0, 0.1, 0.5), (100.0, 10.0, 0.05), (400.0, 40.0, 0.025)]);
+        add(&mut s, "whitted", SPP, &[(1.0, 0.01, 0.7), (4.0, 0.04, 0.6)]);
+        let figures = at_equal_error(&mut s);
+        assert!((figures[0].samples[0] - 10.0).abs() < 1e-9, "{figures:?}");
+        assert!(
+            s.notes[0].contains("whitted never (its least error is 60.0 %); path after 10.0 s"),
+            "{:?}",
+            s.notes
+        );
+    }
+
+    /// The box's floor and tall box, or ceiling, and nothing else, have the materials asked for.
+    #[test]
+    fn the_glossy_box_is_as_asked() {
+        for (with, object, count) in [(Glossy::Mirror, "tall_box", 5), (Glossy::Ceiling, "ceiling", 8)] {
+            let scene = glossy_cornell(0.3, with).expect("a scene");
+            let changed = |name: &str| {
+                let is = |f: &&crate::scene::Face| scene.objects[f.object as usize] == name;
+                let faces: Vec<_> = scene.faces.iter().filter(is).collect();
+                let other = faces.iter().filter(|f| scene.material(f).name != "white").count();
+                (faces.len(), other)
+            };
+            let floor = changed("floor");
+            assert!(floor.0 > 0 && floor.0 == floor.1, "{floor:?}");
+            assert!(
+                changed(object).1 >= count / 2 && changed(object).0 == changed(object).1,
+                "{:?}",
+                changed(object)
+            );
+            assert_eq!([changed("back_wall").1, changed("short_box").1], [0, 0]);
+            let glossy = |m: &&crate::scene::Material| m.is_specular() && m.is_diffuse();
+            assert_eq!(scene.materials.iter().filter(glossy).count(), 1);
+        }
+    }
+}

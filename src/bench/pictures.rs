@@ -123,3 +123,40 @@ pub(super) fn side_by_side(
     let (w, h) = (canvas.width, canvas.height);
     png(w, h, &canvas.into_bytes())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::image::read;
+
+    /// Two pictures of 4 x 3 pixels, zoomed until eight letters fit below, and what is written there.
+    #[test]
+    fn pictures_stand_side_by_side() {
+        let plain = |rgb: [u8; 3]| rgb.repeat(12);
+        let lines = |a: &str| vec![a.to_string(), "l".repeat(8)];
+        let pictures = [(plain([255, 0, 0]), lines("one")), (plain([0, 0, 255]), lines(""))];
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("strip.png");
+        std::fs::write(&path, side_by_side([4, 3], &pictures).expect("a picture")).expect("written");
+        let image = read(&path).expect("read");
+        // 56 / 4 = 14 fold; gaps of 8.
+        let (wide, high) = (4 * 14, 3 * 14);
+        assert_eq!((image.width, image.height), (8 + 2 * (wide + 8), 8 + high + 4 + 2 * 15 + 8));
+        for (x, y, rgb) in [
+            (8, 8, [1.0, 0.0, 0.0]),
+            (8 + wide - 1, 8 + high - 1, [1.0, 0.0, 0.0]),
+            (16 + wide, 8, [0.0, 0.0, 1.0]),
+            (8 + wide, 8, [1.0; 3]),
+        ] {
+            assert_eq!(image.get(x, y), rgb, "{x} {y}");
+        }
+        // Letters below the first picture's first line; none below the second's.
+        let ink = |left: usize| {
+            let rows = 8 + high + 4..8 + high + 4 + 13;
+            rows.flat_map(|y| (left..left + wide).map(move |x| (x, y)))
+                .filter(|(x, y)| image.get(*x, *y)[0] < 0.5)
+                .count()
+        };
+        assert!(ink(8) > 10 && ink(16 + wide) == 0, "{} {}", ink(8), ink(16 + wide));
+    }
+}

@@ -1,11 +1,12 @@
 //! One view of a scene, rendered over and over and compared with its reference.
 
 use super::Context;
+use super::pictures::exposure;
 use super::record::{Subject, Unit};
 use super::reference::{Reference, path_settings};
 use crate::Result;
 use crate::emitters::Emitters;
-use crate::image::{Comparison, Image, relative_rmse_halves};
+use crate::image::{Comparison, Difference, Image, Options, relative_rmse_halves};
 use crate::pipeline::{self, Pass1};
 use crate::radiosity::Solution;
 use crate::render::{Estimator, Method, Settings, render};
@@ -19,6 +20,8 @@ pub(super) const FIRST: &str = "first frame";
 pub(super) const NEXT: &str = "following frame";
 /// Error against the reference.
 pub(super) const ERROR: &str = "relative RMSE";
+/// Perceived difference from the reference, its noise included: 0 equal, 1 as unlike as can be.
+pub(super) const FLIP: &str = "FLIP";
 /// What most series of images vary.
 pub(super) const SPP: &str = "samples a pixel";
 
@@ -82,12 +85,16 @@ impl View<'_, '_> {
         mask: &[bool],
     ) -> Result<()> {
         let c = self.compare(&frame.image, mask)?;
+        let [a, b] = &self.reference.halves;
+        let options = Options { mask: Some(mask), exposure: exposure(self.reference) };
+        let flip = Difference::new(&frame.image, a, Some(b), &options)?.flip;
         let point = subject.series(series, parameter).at(at);
         point.push(FIRST, Unit::Seconds, pass1 + frame.seconds);
         point.push(NEXT, Unit::Seconds, frame.seconds);
         point.push(ERROR, Unit::Share, c.relative_rmse);
         point.push("standard error", Unit::Share, c.standard_error);
         point.push("bias", Unit::Share, c.mean_bias);
+        point.push(FLIP, Unit::Plain, flip);
         point.push("rays of a frame", Unit::Count, frame.rays as f64);
         let error = point.summary(ERROR).map_or(0.0, |s| s.median);
         point.unresolved = error < self.reference.resolution;
