@@ -36,7 +36,7 @@ fn with_view<T>(
 ) -> Result<T> {
     let scene = glossy_cornell(roughness, with)?;
     let visibility = Visibility::new(context.device, &scene)?;
-    let emitters = Emitters::new(&scene);
+    let emitters = Emitters::new(&visibility);
     let mut camera = scene.camera(None)?.clone();
     camera.size = [width, width];
     let reference = reference(context, &visibility, &emitters, &camera, spp)?;
