@@ -71,8 +71,8 @@ impl Found {
             (Some(pairs), _) => {
                 let c = pairs.counts;
                 lines.push(format!(
-                    "pairs of elements: {} averted, {} free, {} hidden, {} by shadows, {} by rays",
-                    c.averted, c.free, c.hidden, c.shadows, c.rays
+                    "pairs of elements: {} averted, {} free, {} hidden, {} by cells, {} by shadows, {} by rays",
+                    c.averted, c.free, c.hidden, c.cells, c.shadows, c.rays
                 ));
             }
             (None, Some(rows)) => lines.push(format!("hemisphere rays: {} an element", rows.rays_per_row)),
