@@ -52,12 +52,13 @@ impl Found {
         }
         if let (Some(asked), Some(achieved)) = (asked, self.achieved) {
             if achieved > asked {
-                let (most, what) = match &self.pairs {
-                    Some(_) => (pairs::MOST_POINTS * pairs::BATCHES as u32, "points a pair"),
-                    None => (MOST_RAYS, "rays an element"),
+                let most = match &self.pairs {
+                    Some(found) if found.counts.cells > 0 => "the finest cells".to_string(),
+                    Some(_) => format!("{} points a pair", pairs::MOST_POINTS * pairs::BATCHES as u32),
+                    None => format!("{MOST_RAYS} rays an element"),
                 };
                 warnings.push(format!(
-                    "--error {asked} not met: {achieved:.2e} with {most} {what}, the most that are tried"
+                    "--error {asked} not met: {achieved:.2e} with {most}, the most that are tried"
                 ));
             }
         }

@@ -6,8 +6,10 @@
 //! element into cells, and in each of them a rule of low degree is accurate. Cells end where the polygon comes into sight, so
 //! a pair that barely sees each other is found as accurately as any other.
 //!
-//! What is left of kinks (a body's corner that passes an edge, two bodies whose edges cross) changes the slope
-//! slowly. Two rules of second degree with different points tell how far both are off.
+//! Planes through a corner of the body and an edge of the polygon, and those in which a side of the body turns away, cut
+//! too. Kinks are left where two bodies' edges cross and where edges that are cut off by others would meet. Two rules of
+//! second degree with different points tell how far both are off; they can agree by chance, so the doubt that they state
+//! is no bound (measured: 1 factor in 10,000 of the Cornell box is off by more than the 1 % that was asked for).
 
 use super::body::Body;
 use crate::form_factor::analytic::{Cut, Polygon, lambert};
@@ -23,9 +25,10 @@ const SMALL: f64 = 4.0;
 /// Distance, in radii of the polygon, beyond which its kernel at the centroid is good enough.
 const FAR: f64 = 10.0;
 /// Largest radius of a cell as a share of the distance to the polygon.
-/// Share of a range of views that counts as doubt where these begin or end within a cell.
-const MIXED: f64 = 0.01;
 const NEAR: f64 = 0.25;
+/// Share of a range of views that counts as doubt where these begin or end within a cell: measured, against a converged
+/// run of the Cornell box.
+const MIXED: f64 = 0.01;
 /// Times that cells in doubt are halved both ways.
 const ROUNDS: usize = 5;
 /// Corners of a clipped polygon: what goes beyond is cut off.

@@ -1,9 +1,12 @@
 //! Form factors pair by pair: the exact unoccluded factor times the visible fraction.
 //!
 //! Three things are certain without sampling: elements that face away from each other or lie in one plane
-//! have no factor; where no face reaches into the shaft between two elements, their factor is the
-//! unoccluded one; where one face cuts every segment, it is zero. For the other pairs points are spread over
-//! one element, and what each sees of the other element is weighted by the kernel:
+//! have no factor; where a plane parts every body from both elements, their factor is the
+//! unoccluded one; where one convex body cuts every segment, it is zero. Faces that continue each other
+//! count as one, and faces that enclose a convex body as that body.
+//!
+//! Where few bodies lie between two of many elements, `cells` integrates what one element sees of the other. For other
+//! pairs points are spread over one element, and what each sees of the other element is weighted by the kernel:
 //!
 //! `F = F_0 * sum of f(p) / sum of f_0(p)`,
 //!
