@@ -1,9 +1,10 @@
 //! Which estimator answers a request for form factors, and how much work it takes.
 
 use super::found::Found;
-use super::pairs::{self, PairFactors, PairWork};
+use super::pairs::{self, PairFactors, PairWork, Surfaces};
 use super::{Casting, ExchangeMatrix, ObjectTable, analytic, cast};
 use crate::mesh::Mesh;
+use crate::scene::Scene;
 use crate::visibility::Visibility;
 use crate::{Error, Result};
 
@@ -13,6 +14,8 @@ const BATCHES: u32 = 16;
 pub const MOST_RAYS: u32 = 1 << 20;
 /// A pair costs, all pairs considered, as much as this many hemisphere rays: measured, 0.3 to 2.
 const RAYS_A_PAIR: u32 = 8;
+/// Rays an element that share the rest of a row between what escaped and what was absorbed.
+const FEW_RAYS: u32 = 128;
 /// Elements up to which unoccluded factors are computed to [`analytic::EXACT`] rather than to [`QUICK`].
 const FEW_ELEMENTS: usize = 64;
 /// Relative error of unoccluded factors among many elements.
@@ -36,11 +39,11 @@ pub struct Request<'a> {
 }
 
 /// Whether every pair of elements is looked at: where they are no more than an eighth of the rays of an
-/// element, or an error is asked for; and where their number and that of the faces stays within
-/// [`pairs::MOST_ELEMENTS`] and [`pairs::MOST_FACES`].
-pub fn by_pairs(elements: usize, faces: usize, request: &Request) -> bool {
+/// element, or an error is asked for; and where their number and that of the surfaces stays within
+/// [`pairs::MOST_ELEMENTS`] and [`pairs::MOST_SURFACES`].
+pub fn by_pairs(elements: usize, scene: &Scene, request: &Request) -> bool {
     let pays = elements <= (request.rays / RAYS_A_PAIR) as usize || request.error.is_some();
-    pays && elements <= pairs::MOST_ELEMENTS && faces <= pairs::MOST_FACES
+    pays && elements <= pairs::MOST_ELEMENTS && Surfaces::new(scene).polygons.len() <= pairs::MOST_SURFACES
 }
 
 /// Finds the factors between the elements of a mesh.
@@ -58,12 +61,13 @@ pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Foun
         };
         cast(visibility, mesh, &casting).0
     };
-    if !by_pairs(mesh.len(), scene.faces.len(), request) {
+    if !by_pairs(mesh.len(), scene, request) {
         return by_rows(visibility, mesh, request, rows);
     }
-    let rows = rows(request.rays);
-    // Hemisphere rays spent one budget; the pairs have another one.
     let few = mesh.len() <= FEW_ELEMENTS;
+    // Hemisphere rays spend one budget; the pairs have another one. Where an error is asked for, the rays only tell what share
+    // of a row's rest is absorbed.
+    let rows = rows(if few || request.error.is_none() { request.rays } else { request.rays.min(FEW_RAYS) });
     let batches = if few { pairs::BATCHES } else { pairs::FEW_BATCHES };
     let points = request.rays / (mesh.len().max(1) * batches) as u32;
     let mut work = PairWork {
@@ -71,7 +75,8 @@ pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Foun
         batches,
         error: if request.by_object { None } else { request.error },
         floor: request.floor,
-        tolerance: if few { analytic::EXACT } else { QUICK },
+        tolerance: if few { analytic::EXACT } else { QUICK.max(0.01 * request.error.unwrap_or(0.0)) },
+        by_cells: !few,
         unoccluded: false,
         seed: request.seed,
         progress: &|_| (),
@@ -123,6 +128,7 @@ pub fn unoccluded(
         error: None,
         floor: 0.0,
         tolerance: analytic::EXACT,
+        by_cells: false,
         unoccluded: true,
         seed,
         progress,

@@ -52,12 +52,13 @@ impl Found {
         }
         if let (Some(asked), Some(achieved)) = (asked, self.achieved) {
             if achieved > asked {
-                let (most, what) = match &self.pairs {
-                    Some(_) => (pairs::MOST_POINTS * pairs::BATCHES as u32, "points a pair"),
-                    None => (MOST_RAYS, "rays an element"),
+                let most = match &self.pairs {
+                    Some(found) if found.counts.cells > 0 => "the finest cells".to_string(),
+                    Some(_) => format!("{} points a pair", pairs::MOST_POINTS * pairs::BATCHES as u32),
+                    None => format!("{MOST_RAYS} rays an element"),
                 };
                 warnings.push(format!(
-                    "--error {asked} not met: {achieved:.2e} with {most} {what}, the most that are tried"
+                    "--error {asked} not met: {achieved:.2e} with {most}, the most that are tried"
                 ));
             }
         }
@@ -71,8 +72,8 @@ impl Found {
             (Some(pairs), _) => {
                 let c = pairs.counts;
                 lines.push(format!(
-                    "pairs of elements: {} averted, {} free, {} hidden, {} by shadows, {} by rays",
-                    c.averted, c.free, c.hidden, c.shadows, c.rays
+                    "pairs of elements: {} averted, {} free, {} hidden, {} by cells, {} by shadows, {} by rays",
+                    c.averted, c.free, c.hidden, c.cells, c.shadows, c.rays
                 ));
             }
             (None, Some(rows)) => lines.push(format!("hemisphere rays: {} an element", rows.rays_per_row)),

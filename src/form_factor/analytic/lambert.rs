@@ -40,3 +40,35 @@ pub fn lambert(point: DVec3, normal: DVec3, polygon: &Polygon) -> f64 {
     }
     sum / (2.0 * PI)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn seen(corners: &[DVec3]) -> f64 {
+        let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize();
+        differential(DVec3::ZERO, DVec3::Z, &Polygon::new(corners, normal))
+    }
+
+    /// A unit square at distance 1 above one of its corners (Howell B-3), from its front and from its back, and one that
+    /// rises through the horizon.
+    #[test]
+    fn lambert_of_known_polygons() {
+        let square = |z: f64| [[0.0, 0.0, z], [0.0, 1.0, z], [1.0, 1.0, z], [1.0, 0.0, z]].map(DVec3::from);
+        let exact = {
+            let r = 2f64.sqrt();
+            2.0 * (1.0 / r) * (1.0 / r).atan() / std::f64::consts::TAU
+        };
+        let down = square(1.0);
+        assert!((seen(&down) - exact).abs() < 1e-15);
+        let mut up = down;
+        up.reverse();
+        assert_eq!(seen(&up), 0.0);
+        // A wall at x = 1, 2 wide, that goes from far below to far above fills half of the horizon's cut.
+        let wall = |low: f64| {
+            [[1.0, 1.0, low], [1.0, -1.0, low], [1.0, -1.0, 1.0], [1.0, 1.0, 1.0]].map(DVec3::from)
+        };
+        let (cut, whole) = (seen(&wall(-3.0)), seen(&wall(0.0)));
+        assert!(whole > 0.05 && (cut - whole).abs() < 1e-15, "{cut} {whole}");
+    }
+}

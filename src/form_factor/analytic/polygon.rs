@@ -101,6 +101,16 @@ impl Polygon {
         self.corners().iter().any(|c| (*c - point).dot(normal) > eps)
     }
 
+    /// Whether all of the polygon lies well in front of another one's plane.
+    #[inline]
+    pub fn lies_before(&self, other: &Polygon) -> bool {
+        let o = other.corners[0];
+        self.corners().iter().all(|c| {
+            let r = *c - o;
+            r.dot(other.normal) > ON_PLANE * r.abs().max_element()
+        })
+    }
+
     /// The part in front of the plane through `point` with this normal (of any length).
     #[inline]
     pub fn before(&self, point: DVec3, normal: DVec3) -> Cut {

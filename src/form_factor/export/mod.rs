@@ -56,6 +56,29 @@ pub struct Factors {
 }
 
 impl Factors {
+    /// One node an element, and no factors yet in the rows that are kept.
+    fn without_entries(scene: &Scene, mesh: &Mesh, rows: Range<usize>, rays: u32, seconds: f64) -> Factors {
+        let n = mesh.len() as u32;
+        let sides = sides(scene, mesh);
+        Factors {
+            by_object: false,
+            names: sides.names,
+            object: sides.of_element,
+            areas: (0..n).map(|e| mesh.area(e)).collect(),
+            emissivity: (0..n).map(|e| emissivity(scene, mesh.place(e).0)).collect(),
+            rows,
+            start: vec![0],
+            columns: Vec::new(),
+            values: Vec::new(),
+            errors: Vec::new(),
+            escaped: Vec::new(),
+            absorbed: Vec::new(),
+            rays,
+            seconds,
+            written: "raw",
+        }
+    }
+
     /// One node an element; `rows` of them are kept.
     pub fn of_elements(
         scene: &Scene,
@@ -65,31 +88,18 @@ impl Factors {
         seconds: f64,
     ) -> Factors {
         let n = mesh.len();
-        let sides = sides(scene, mesh);
         let batches = matrix.batches();
-        // Of one randomisation each entry is a factor; of several, some entries are the same factor's.
-        let stored = if batches == 1 { matrix.stored() } else { 0 };
-        let mut factors = Factors {
-            by_object: false,
-            names: sides.names,
-            object: (0..n).map(|e| sides.of_element[e]).collect(),
-            areas: (0..n as u32).map(|e| mesh.area(e)).collect(),
-            emissivity: (0..n as u32).map(|e| emissivity(scene, mesh.place(e).0)).collect(),
-            start: vec![0],
-            // Grown by doubling, a large matrix would take twice its memory.
-            columns: Vec::with_capacity(stored),
-            values: Vec::with_capacity(stored),
-            errors: Vec::with_capacity(if batches > 1 { stored } else { 0 }),
-            escaped: rows.clone().map(|r| color::mean(matrix.summary[r].escaped)).collect(),
-            absorbed: Vec::new(),
-            rays: matrix.rays_per_row,
-            seconds,
-            written: "raw",
-            rows: rows.clone(),
-        };
+        let mut factors = Factors::without_entries(scene, mesh, rows.clone(), matrix.rays_per_row, seconds);
+        if batches == 1 {
+            // Each entry is a factor; of several randomisations, some entries are the same factor's. Grown by
+            // doubling, a large matrix would take twice its memory.
+            factors.columns.reserve_exact(matrix.stored());
+            factors.values.reserve_exact(matrix.stored());
+        }
         let (mut sum, mut square, mut touched) = (vec![0.0; n], vec![0.0; n], Vec::new());
         for row in rows {
             let summary = &matrix.summary[row];
+            factors.escaped.push(color::mean(summary.escaped));
             factors.absorbed.push(color::mean(summary.absorbed + summary.dropped));
             for (j, f) in matrix.row(row) {
                 let f = color::mean(f);
@@ -154,25 +164,8 @@ impl Factors {
         rows: Range<usize>,
         seconds: f64,
     ) -> Factors {
-        let n = mesh.len();
-        let sides = sides(scene, mesh);
-        let mut factors = Factors {
-            by_object: false,
-            names: sides.names,
-            object: (0..n).map(|e| sides.of_element[e]).collect(),
-            areas: (0..n as u32).map(|e| mesh.area(e)).collect(),
-            emissivity: (0..n as u32).map(|e| emissivity(scene, mesh.place(e).0)).collect(),
-            start: vec![0],
-            columns: Vec::new(),
-            values: Vec::new(),
-            errors: Vec::new(),
-            escaped: Vec::new(),
-            absorbed: Vec::new(),
-            rays: matrix.map_or(0, |m| m.rays_per_row),
-            seconds,
-            written: "raw",
-            rows: rows.clone(),
-        };
+        let rays = matrix.map_or(0, |m| m.rays_per_row);
+        let mut factors = Factors::without_entries(scene, mesh, rows.clone(), rays, seconds);
         for row in rows {
             let rest = pairs.rest(row, matrix.and_then(|m| m.summary.get(row)));
             factors.escaped.push(color::mean(rest.escaped));

@@ -1,6 +1,7 @@
 //! Measured estimates of the hemi-cube's own errors, apart from each other.
 
 use super::{Beside, DeltaFactors, Drawer, HemicubeSettings, place_in_grid, turn};
+use crate::form_factor::analytic::{Polygon, differential};
 use crate::mesh::Mesh;
 use crate::sampling::seed_of;
 use crate::scene::Scene;
@@ -107,9 +108,9 @@ fn row(drawer: &mut Drawer, element: u32, settings: &HemicubeSettings) -> (usize
     for &j in &columns {
         let at = |r: &BTreeMap<u32, f64>| r.get(&j).copied().unwrap_or(0.0);
         sums[0].add((at(&first) - at(&second)) / std::f64::consts::SQRT_2 / cubes);
-        let target = corners(scene, mesh, j);
+        let target = Polygon::of_element(scene, mesh, j);
         let unoccluded = |points: &[DVec3]| -> f64 {
-            points.iter().map(|p| to_polygon(*p, normal, &target)).sum::<f64>() / points.len() as f64
+            points.iter().map(|p| differential(*p, normal, &target)).sum::<f64>() / points.len() as f64
         };
         let (l, l_fine) = (unoccluded(&coarse_points), unoccluded(&fine_points));
         let share = if l_fine > 0.0 { (at(&fine) / l_fine).min(1.0) } else { 0.0 };
@@ -139,73 +140,4 @@ fn points(scene: &Scene, mesh: &Mesh, element: u32, grid: u32) -> Vec<DVec3> {
     (0..grid * grid)
         .map(|cube| super::stand(scene, mesh, element, place_in_grid(grid, cube, None), None).0)
         .collect()
-}
-
-/// Corners of an element, counter-clockwise seen from its side.
-fn corners(scene: &Scene, mesh: &Mesh, element: u32) -> Vec<DVec3> {
-    let (face, front, cell) = mesh.place(element);
-    let grid = mesh.grid(face);
-    let (o, a, b) = grid.cell_frame(cell);
-    let (p0, e1, e2) = scene.face_frame(&scene.faces[face as usize]);
-    let at = |uv: glam::DVec2| p0 + uv.x * e1 + uv.y * e2;
-    let mut corners = vec![at(o), at(o + a), at(o + a + b), at(o + b)];
-    if grid.triangle {
-        corners.remove(2);
-    }
-    if !front {
-        corners.reverse();
-    }
-    corners
-}
-
-/// Form factor from a point to a polygon's front without occlusion (Lambert 1760), cut at the point's horizon.
-fn to_polygon(point: DVec3, normal: DVec3, polygon: &[DVec3]) -> f64 {
-    let mut above = Vec::with_capacity(polygon.len() + 1);
-    for (k, p) in polygon.iter().enumerate() {
-        let (p, q) = (*p - point, polygon[(k + 1) % polygon.len()] - point);
-        let (a, b) = (p.dot(normal), q.dot(normal));
-        if a >= 0.0 {
-            above.push(p);
-        }
-        if (a > 0.0 && b < 0.0) || (a < 0.0 && b > 0.0) {
-            above.push(p + a / (a - b) * (q - p));
-        }
-    }
-    let edge = |k: usize| {
-        let (p, q) = (above[k], above[(k + 1) % above.len()]);
-        let c = p.cross(q);
-        let length = c.length();
-        if length == 0.0 { 0.0 } else { length.atan2(p.dot(q)) / length * c.dot(normal) }
-    };
-    // Fronts are seen clockwise.
-    let sum: f64 = (0..above.len()).map(edge).sum();
-    (-sum / std::f64::consts::TAU).max(0.0)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A unit square at distance 1 above one of its corners (Howell B-3), from its front and from its back, and one that
-    /// rises through the horizon.
-    #[test]
-    fn lambert_of_known_polygons() {
-        let square = |z: f64| [[0.0, 0.0, z], [0.0, 1.0, z], [1.0, 1.0, z], [1.0, 0.0, z]].map(DVec3::from);
-        let exact = {
-            let r = 2f64.sqrt();
-            2.0 * (1.0 / r) * (1.0 / r).atan() / std::f64::consts::TAU
-        };
-        let down = square(1.0);
-        assert!((to_polygon(DVec3::ZERO, DVec3::Z, &down) - exact).abs() < 1e-15);
-        let mut up = down;
-        up.reverse();
-        assert_eq!(to_polygon(DVec3::ZERO, DVec3::Z, &up), 0.0);
-        // A wall at x = 1, 2 wide, that goes from far below to far above fills half of the horizon's cut.
-        let wall = |low: f64| {
-            [[1.0, 1.0, low], [1.0, -1.0, low], [1.0, -1.0, 1.0], [1.0, 1.0, 1.0]].map(DVec3::from)
-        };
-        let (cut, whole) =
-            (to_polygon(DVec3::ZERO, DVec3::Z, &wall(-3.0)), to_polygon(DVec3::ZERO, DVec3::Z, &wall(0.0)));
-        assert!(whole > 0.05 && (cut - whole).abs() < 1e-15, "{cut} {whole}");
-    }
 }

@@ -1,69 +1,100 @@
-//! Convex bodies made of faces, which prove elements hidden from each other.
+//! Convex bodies made of surfaces: what hides elements from each other.
 
-use super::shaft::Bounded;
+use super::merge::{Surfaces, edge_key};
+use super::shaft::blocks_all;
 use crate::form_factor::analytic::Polygon;
-use crate::scene::Scene;
 use glam::DVec3;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A convex body whose surface is faces, but for one plane at most (a box that stands on a floor has no bottom).
+/// Thickness of a body, in units of what counts as touching.
+const THICK: f64 = 1e3;
+/// Most planes of a body; the bits of a number stand for them.
+const MOST_PLANES: usize = 64;
+/// Sines below this have no direction.
+const COLLINEAR: f64 = 1e-12;
+
+/// A convex body whose surface is opaque, but for one plane at most (a box that stands on a floor has no bottom);
+/// or a single polygon, which is a body without thickness.
 #[derive(Debug)]
 pub struct Body {
-    /// A point on each bounding plane and its outward unit normal.
+    /// A point on each bounding plane and its outward unit normal; of a single polygon, both its sides.
     planes: Vec<(DVec3, DVec3)>,
-    faces: BTreeSet<u32>,
+    corners: Vec<DVec3>,
+    edges: Vec<Edge>,
+    surfaces: BTreeSet<u32>,
+    /// The polygon, where there is only one.
+    flat: Option<Polygon>,
     eps: f64,
 }
 
+/// An edge between two planes of a body; seen from before the first plane alone, the body lies to its left.
+#[derive(Debug)]
+struct Edge {
+    ends: [DVec3; 2],
+    planes: [usize; 2],
+}
+
 impl Body {
-    /// The bodies of a scene: faces that hang together by their edges, lie behind each other's planes,
-    /// and leave open edges in one plane only.
-    pub fn all(scene: &Scene, faces: &[Bounded], eps: f64) -> Vec<Body> {
-        let edges = |f: usize| {
-            let face = &scene.faces[f];
-            let n = if face.is_triangle() { 3 } else { 4 };
-            (0..n).map(move |k| {
-                let place = |k: usize| scene.corner(face, k % n).to_array().map(f64::to_bits);
-                let (a, b) = (place(k), place(k + 1));
-                (a.min(b), a.max(b))
-            })
-        };
+    /// The bodies of a scene: surfaces that hang together by their edges, lie behind each other's planes,
+    /// and leave open edges in one plane only. Other surfaces are bodies each.
+    pub fn all(surfaces: &Surfaces) -> Vec<Body> {
+        let polygons = &surfaces.polygons;
         let mut by_edge = BTreeMap::<_, Vec<usize>>::new();
-        for f in 0..faces.len() {
-            edges(f).for_each(|e| by_edge.entry(e).or_default().push(f));
+        for (f, polygon) in polygons.iter().enumerate() {
+            for (a, b) in polygon.edges() {
+                by_edge.entry(edge_key(a, b)).or_default().push(f);
+            }
         }
-        let (mut seen, mut bodies) = (vec![false; faces.len()], Vec::new());
-        for start in 0..faces.len() {
+        let (mut seen, mut bodies) = (vec![false; polygons.len()], Vec::new());
+        for start in 0..polygons.len() {
             if seen[start] {
                 continue;
             }
             seen[start] = true;
             let (mut group, mut next) = (vec![start], 0);
             while next < group.len() {
-                for f in edges(group[next]).flat_map(|e| &by_edge[&e]) {
-                    if !std::mem::replace(&mut seen[*f], true) {
-                        group.push(*f);
+                for (a, b) in polygons[group[next]].edges() {
+                    for f in &by_edge[&edge_key(a, b)] {
+                        if !std::mem::replace(&mut seen[*f], true) {
+                            group.push(*f);
+                        }
                     }
                 }
                 next += 1;
             }
-            let open: Vec<DVec3> = group
-                .iter()
-                .flat_map(|f| edges(*f))
-                .filter(|e| by_edge[e].len() == 1)
-                .flat_map(|(a, b)| [a, b].map(|p| DVec3::from_array(p.map(f64::from_bits))))
-                .collect();
-            bodies.extend(Body::of(&group, faces, &open, eps));
+            match Body::solid(&group, polygons, surfaces.eps) {
+                Some(body) => bodies.push(body),
+                None => bodies.extend(group.iter().map(|f| Body::single(*f, &polygons[*f], surfaces.eps))),
+            }
         }
         bodies
     }
 
-    fn of(group: &[usize], faces: &[Bounded], open: &[DVec3], eps: f64) -> Option<Body> {
-        let polygons = || group.iter().map(|f| &faces[*f].polygon);
+    fn single(number: usize, polygon: &Polygon, eps: f64) -> Body {
+        let o = polygon.corners()[0];
+        Body {
+            planes: vec![(o, polygon.normal), (o, -polygon.normal)],
+            corners: polygon.corners().to_vec(),
+            edges: polygon.edges().map(|(a, b)| Edge { ends: [a, b], planes: [0, 1] }).collect(),
+            surfaces: BTreeSet::from([number as u32]),
+            flat: Some(*polygon),
+            eps,
+        }
+    }
+
+    fn solid(group: &[usize], all: &[Polygon], eps: f64) -> Option<Body> {
+        let polygons = || group.iter().map(|f| &all[*f]);
         let mut planes: Vec<_> = polygons().map(|p| (p.corners()[0], p.normal)).collect();
-        if planes.len() < 3 {
+        if planes.len() < 3 || planes.len() >= MOST_PLANES {
             return None;
         }
+        let mut by_edge = BTreeMap::<_, Vec<(usize, [DVec3; 2])>>::new();
+        for (k, polygon) in polygons().enumerate() {
+            for (a, b) in polygon.edges() {
+                by_edge.entry(edge_key(a, b)).or_default().push((k, [a, b]));
+            }
+        }
+        let open: Vec<DVec3> = by_edge.values().filter(|e| e.len() == 1).flat_map(|e| e[0].1).collect();
         if let Some(o) = open.first() {
             let away = open.iter().max_by(|a, b| a.distance(*o).total_cmp(&b.distance(*o)))? - o;
             let across =
@@ -76,13 +107,56 @@ impl Body {
             planes.push((*o, if (middle - o).dot(normal) > 0.0 { -normal } else { normal }));
         }
         let convex = planes.iter().all(|(o, n)| polygons().all(|p| !p.reaches_before(*o, *n, eps)));
-        let faces = group.iter().map(|f| *f as u32).collect();
-        convex.then_some(Body { planes, faces, eps })
+        // Surfaces of one plane enclose nothing.
+        let thick = planes.iter().all(|(o, n)| polygons().any(|p| p.reaches_before(*o, -*n, THICK * eps)));
+        if !convex || !thick || by_edge.values().any(|e| e.len() > 2) {
+            return None;
+        }
+        let edges = by_edge.values().map(|e| Edge {
+            ends: e[0].1,
+            planes: [e[0].0, e.get(1).map_or(planes.len() - 1, |other| other.0)],
+        });
+        let mut corners: Vec<DVec3> = polygons().flat_map(|p| p.corners().iter().copied()).collect();
+        corners.sort_by_key(|c| c.to_array().map(f64::to_bits));
+        corners.dedup();
+        Some(Body {
+            edges: edges.collect(),
+            corners,
+            surfaces: group.iter().map(|f| *f as u32).collect(),
+            flat: None,
+            planes,
+            eps,
+        })
     }
 
-    /// Whether one of these faces belongs to the body.
-    pub fn has_any(&self, faces: &[u32]) -> bool {
-        faces.iter().any(|f| self.faces.contains(f))
+    /// Numbers of the surfaces that it consists of.
+    pub fn surfaces(&self) -> impl Iterator<Item = u32> + '_ {
+        self.surfaces.iter().copied()
+    }
+
+    /// Whether one of these surfaces belongs to the body.
+    pub fn has_any(&self, surfaces: &[u32]) -> bool {
+        surfaces.iter().any(|f| self.surfaces.contains(f))
+    }
+
+    /// A point and the outward normal of each side; none of a single polygon, whose two turn away together.
+    pub fn sides(&self) -> &[(DVec3, DVec3)] {
+        if self.is_solid() { &self.planes } else { &[] }
+    }
+
+    /// Its corners.
+    pub fn corners(&self) -> &[DVec3] {
+        &self.corners
+    }
+
+    /// Whether there is something within it.
+    pub fn is_solid(&self) -> bool {
+        self.flat.is_none()
+    }
+
+    /// Distance from a point, or a little less.
+    pub fn distance(&self, point: DVec3) -> f64 {
+        self.planes.iter().map(|(o, n)| (point - *o).dot(*n)).fold(0.0, f64::max)
     }
 
     /// Whether the body cuts every segment between two polygons that lie outside it.
@@ -91,6 +165,9 @@ impl Body {
     /// the points that it is hidden from. It suffices that the segments between corners pass through the body. Each
     /// then crosses the surface twice, and the open plane at most once.
     pub fn hides(&self, a: &Polygon, b: &Polygon) -> bool {
+        if let Some(polygon) = &self.flat {
+            return blocks_all(a, b, polygon);
+        }
         let outside = |p: &Polygon| {
             self.planes.iter().any(|(o, n)| p.corners().iter().all(|c| (*c - *o).dot(*n) >= -self.eps))
         };
@@ -109,6 +186,120 @@ impl Body {
             }
             (leave - enter) * p.distance(*q) > 2.0 * self.eps
         };
-        outside(a) && outside(b) && a.corners().iter().all(|p| b.corners().iter().all(|q| through(p, q)))
+        a.corners().iter().all(|p| b.corners().iter().all(|q| through(p, q))) && outside(a) && outside(b)
+    }
+
+    /// Planes between a polygon and the body: point and unit normal; the polygon lies on and before each, the body on
+    /// and behind it. Whatever else lies before one of them sees the polygon past the body.
+    ///
+    /// The region that the body can hide from the polygon is convex, and bounded by planes that lean on an
+    /// edge of one and a corner of the other.
+    pub fn between(&self, polygon: &Polygon) -> Vec<(DVec3, DVec3)> {
+        let before = |o: DVec3, n: DVec3| polygon.corners().iter().all(|c| (*c - o).dot(n) >= -self.eps);
+        let mut found: Vec<_> = self.planes.iter().copied().filter(|(o, n)| before(*o, *n)).collect();
+        let mut consider = |a: DVec3, b: DVec3, corner: DVec3| {
+            let (edge, other) = (b - a, corner - a);
+            let normal = edge.cross(other);
+            let length = normal.length();
+            if length <= COLLINEAR * edge.length() * other.length() {
+                return;
+            }
+            let normal = normal / length;
+            let side = polygon.corners().iter().map(|c| (*c - a).dot(normal));
+            let side = side.max_by(|x, y| x.abs().total_cmp(&y.abs())).unwrap_or(0.0);
+            let normal = if side < 0.0 { -normal } else { normal };
+            if before(a, normal) && self.corners.iter().all(|c| (*c - a).dot(normal) <= self.eps) {
+                found.push((a, normal));
+            }
+        };
+        for (a, b) in polygon.edges() {
+            self.corners.iter().for_each(|c| consider(a, b, *c));
+        }
+        for edge in &self.edges {
+            polygon.corners().iter().for_each(|c| consider(edge.ends[0], edge.ends[1], *c));
+        }
+        found
+    }
+
+    /// Bit k is set where the point lies before plane k.
+    #[inline]
+    fn before(&self, point: DVec3) -> u64 {
+        let bit = |(k, (o, n)): (usize, &(DVec3, DVec3))| u64::from((point - *o).dot(*n) > 0.0) << k;
+        self.planes.iter().enumerate().map(bit).fold(0, |all, bit| all | bit)
+    }
+
+    /// Bit k is set where a polygon reaches before plane k.
+    pub fn reached(&self, polygon: &Polygon) -> u64 {
+        polygon.corners().iter().map(|c| self.before(*c)).fold(0, |all, bits| all | bits)
+    }
+
+    /// Calls `visit` with the ends, relative to a point, of each edge of the outline that the body shows it; the body
+    /// lies on the side away from their cross product.
+    #[inline]
+    pub fn outline(&self, viewer: DVec3, visit: impl FnMut(DVec3, DVec3)) {
+        self.outline_of(viewer, self.before(viewer), visit);
+    }
+
+    #[inline]
+    fn outline_of(&self, viewer: DVec3, before: u64, mut visit: impl FnMut(DVec3, DVec3)) {
+        for edge in &self.edges {
+            let [first, second] = edge.planes.map(|k| before >> k & 1 == 1);
+            if first != second {
+                let (p, q) = (edge.ends[0] - viewer, edge.ends[1] - viewer);
+                if first { visit(p, q) } else { visit(q, p) }
+            }
+        }
+    }
+
+    /// The shadow that the body casts from a point, as half-spaces: each a plane's point and outward normal (of any
+    /// length); of the body's own planes those alone that `reached` names. False where the point lies within the body.
+    pub fn shadow(&self, viewer: DVec3, reached: u64, shadow: &mut Vec<(DVec3, DVec3)>) -> bool {
+        shadow.clear();
+        let before = self.before(viewer);
+        self.outline_of(viewer, before, |p, q| {
+            let normal = p.cross(q);
+            let least = COLLINEAR * COLLINEAR * p.length_squared() * q.length_squared();
+            if normal.length_squared() > least {
+                shadow.push((viewer, normal));
+            }
+        });
+        let mut own = before & reached;
+        while own != 0 {
+            shadow.push(self.planes[own.trailing_zeros() as usize]);
+            own &= own - 1;
+        }
+        before != 0
+    }
+
+    /// The parts of an element's polygon that the body, which may stand on it, leaves open.
+    pub fn uncovered(&self, polygon: &Polygon, open: &mut Vec<Polygon>) {
+        use crate::form_factor::analytic::Cut;
+        let on = |(o, n): &(DVec3, DVec3)| {
+            n.dot(polygon.normal) < -0.999
+                && polygon.corners().iter().all(|c| (*c - *o).dot(*n).abs() <= self.eps)
+        };
+        let first = open.len();
+        let mut rest = *polygon;
+        if self.flat.is_none() && self.planes.iter().any(on) {
+            for (o, n) in self.planes.iter().filter(|p| !on(p)) {
+                if !rest.reaches_before(*o, *n, self.eps) {
+                    continue;
+                }
+                match (rest.before(*o, *n), rest.before(*o, -*n)) {
+                    (Cut::Part(out), Cut::Part(within)) => {
+                        open.push(out);
+                        rest = within;
+                    }
+                    _ => {
+                        // Nothing is covered: the whole polygon stays in one piece.
+                        open.truncate(first);
+                        open.push(*polygon);
+                        return;
+                    }
+                }
+            }
+            return;
+        }
+        open.push(*polygon);
     }
 }

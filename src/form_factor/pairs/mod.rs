@@ -1,9 +1,12 @@
 //! Form factors pair by pair: the exact unoccluded factor times the visible fraction.
 //!
 //! Three things are certain without sampling: elements that face away from each other or lie in one plane
-//! have no factor; where no face reaches into the shaft between two elements, their factor is the
-//! unoccluded one; where one face cuts every segment, it is zero. For the other pairs points are spread over
-//! one element, and what each sees of the other element is weighted by the kernel:
+//! have no factor; where a plane parts every body from both elements, their factor is the
+//! unoccluded one; where one convex body cuts every segment, it is zero. Faces that continue each other
+//! count as one, and faces that enclose a convex body as that body.
+//!
+//! Where few bodies lie between two of many elements, `cells` integrates what one element sees of the other. For other
+//! pairs points are spread over one element, and what each sees of the other element is weighted by the kernel:
 //!
 //! `F = F_0 * sum of f(p) / sum of f_0(p)`,
 //!
@@ -13,6 +16,8 @@
 //! whether that is visible.
 
 mod body;
+mod cells;
+mod merge;
 mod rows;
 mod shadow;
 mod shaft;
@@ -25,6 +30,7 @@ use crate::sampling::{seed_of, sobol};
 use crate::scene::Scene;
 use crate::visibility::Visibility;
 use body::Body;
+pub use merge::Surfaces;
 use rayon::prelude::*;
 use shaft::{Bounded, Shaft};
 use std::collections::BTreeSet;
@@ -34,13 +40,11 @@ pub const BATCHES: usize = 16;
 /// Randomisations where many elements share the work: more points in each converge faster.
 pub const FEW_BATCHES: usize = 8;
 
-/// Most faces of a scene whose shafts are searched: the search takes their number cubed.
-pub const MOST_FACES: usize = 512;
+/// Most surfaces (faces, joined where they continue each other) whose shafts are searched: the search takes their
+/// number cubed.
+pub const MOST_SURFACES: usize = 512;
 /// Most elements whose pairs are held: 100 MB.
 pub const MOST_ELEMENTS: usize = 4096;
-
-/// What counts as touching, as a share of the scene's radius.
-const TOUCHING: f64 = 1e-10;
 
 /// Rays that look for what lies between, all pairs together.
 const LOOKS: usize = 1 << 21;
@@ -58,6 +62,8 @@ pub struct PairWork<'a> {
     pub floor: f64,
     /// Relative error of unoccluded factors, at least 1e-11.
     pub tolerance: f64,
+    /// Partly hidden pairs are integrated cell by cell where few bodies lie between, rather than by points.
+    pub by_cells: bool,
     /// Ignore what lies between.
     pub unoccluded: bool,
     /// Seed.
@@ -78,6 +84,8 @@ pub struct PairCounts {
     pub free: u64,
     /// Proven hidden.
     pub hidden: u64,
+    /// Integrated cell by cell.
+    pub cells: u64,
     /// Estimated by points that see past the faces between.
     pub shadows: u64,
     /// Estimated by rays from area to area.
@@ -110,17 +118,30 @@ struct Shared<'a, 's> {
     mesh: &'a Mesh,
     work: &'a PairWork<'a>,
     elements: Vec<Element>,
-    faces: Vec<Bounded>,
-    /// Faces that may come between two faces, by pair.
-    between: Vec<Vec<u32>>,
+    surfaces: Vec<Bounded>,
+    /// What may come between two surfaces, by pair.
+    between: Vec<Between>,
     bodies: Vec<Body>,
     eps: f64,
     objects: usize,
 }
 
+#[derive(Default)]
+struct Between {
+    /// The surfaces face away from each other.
+    averted: bool,
+    /// Surfaces.
+    surfaces: Vec<u32>,
+    /// The bodies that these belong to.
+    bodies: Vec<u32>,
+}
+
 struct Element {
     polygon: Polygon,
-    face: u32,
+    /// The parts that no body stands on; none: the whole.
+    open: Option<Vec<Polygon>>,
+    /// The surface that it is part of.
+    surface: u32,
     object: u32,
     area: f64,
 }
@@ -300,9 +321,27 @@ impl PairCounts {
         self.averted += other.averted;
         self.free += other.free;
         self.hidden += other.hidden;
+        self.cells += other.cells;
         self.shadows += other.shadows;
         self.rays += other.rays;
         self.missed += other.missed;
+    }
+}
+
+impl Element {
+    /// Cuts off what bodies stand on.
+    fn find_open(&mut self, bodies: &[Body]) {
+        let mut open = vec![self.polygon];
+        for body in bodies {
+            let parts = std::mem::take(&mut open);
+            parts.iter().for_each(|part| body.uncovered(part, &mut open));
+        }
+        let whole = matches!(open.as_slice(), [part] if part.corners() == self.polygon.corners());
+        self.open = (!whole).then_some(open);
+    }
+
+    fn parts(&self) -> &[Polygon] {
+        self.open.as_deref().unwrap_or(std::slice::from_ref(&self.polygon))
     }
 }
 
@@ -313,14 +352,13 @@ impl<'a, 's> Shared<'a, 's> {
         mesh: &'a Mesh,
         work: &'a PairWork<'a>,
     ) -> Shared<'a, 's> {
-        let faces: Vec<Bounded> =
-            scene.faces.iter().map(|f| Bounded::new(Polygon::of_face(scene, f))).collect();
-        let eps = TOUCHING * scene.radius;
+        let surfaces = Surfaces::new(scene);
         let element = |e: u32| {
             let (face, _, _) = mesh.place(e);
             Element {
                 polygon: Polygon::of_element(scene, mesh, e),
-                face,
+                open: None,
+                surface: surfaces.of_face[face as usize],
                 object: scene.faces[face as usize].object,
                 area: mesh.area(e),
             }
@@ -332,29 +370,47 @@ impl<'a, 's> Shared<'a, 's> {
             elements: (0..mesh.len() as u32).map(element).collect(),
             between: Vec::new(),
             bodies: Vec::new(),
-            eps,
+            eps: surfaces.eps,
             objects: scene.objects.len(),
-            faces,
+            surfaces: surfaces.polygons.iter().copied().map(Bounded::new).collect(),
         };
         if !work.unoccluded {
+            shared.bodies = Body::all(&surfaces);
             shared.between = shared.all_between();
-            shared.bodies = Body::all(scene, &shared.faces, eps);
+            if work.by_cells {
+                let bodies = &shared.bodies;
+                shared.elements.iter_mut().for_each(|e| e.find_open(bodies));
+            }
         }
         shared
     }
 
-    fn all_between(&self) -> Vec<Vec<u32>> {
-        let n = self.faces.len();
+    fn all_between(&self) -> Vec<Between> {
+        let n = self.surfaces.len();
+        let mut body_of = vec![0; n];
+        for (k, body) in self.bodies.iter().enumerate() {
+            body.surfaces().for_each(|f| body_of[f as usize] = k as u32);
+        }
         let list = |k: usize| {
             let (i, j) = (k / n, k % n);
-            let mut found = Vec::new();
+            let mut found = Between::default();
             if i < j {
-                let (a, b) = (&self.faces[i].polygon, &self.faces[j].polygon);
-                if let Some((a, b)) = super::analytic::facing(a, b) {
-                    let mut shaft = Shaft::new(&a, &b, self.eps);
-                    let others = (0..n).filter(|q| *q != i && *q != j);
-                    found.extend(others.filter(|q| shaft.may_block(&self.faces[*q])).map(|q| q as u32));
-                }
+                let (a, b) = (&self.surfaces[i].polygon, &self.surfaces[j].polygon);
+                let Some((a, b)) = super::analytic::facing(a, b) else {
+                    // Elements of joined surfaces may lie off their plane a little.
+                    let [ab, ba] = [(a, b), (b, a)]
+                        .map(|(p, q)| p.reaches_before(q.corners()[0], q.normal, 2.0 * self.eps));
+                    found.averted = !(ab && ba);
+                    return found;
+                };
+                let mut shaft = Shaft::new(&a, &b, self.eps);
+                let others = (0..n).filter(|q| *q != i && *q != j);
+                found
+                    .surfaces
+                    .extend(others.filter(|q| shaft.may_block(&self.surfaces[*q])).map(|q| q as u32));
+                found.bodies = found.surfaces.iter().map(|q| body_of[*q as usize]).collect();
+                found.bodies.sort_unstable();
+                found.bodies.dedup();
             }
             found
         };

@@ -1,8 +1,9 @@
 //! One element against all later ones.
 
+use super::cells::{Accuracy, Cells};
 use super::shadow::{Pieces, Seen, Shadow, visible};
 use super::shaft::{Shaft, blocks_all};
-use super::{BATCHES, MOST_POINTS, PairCounts, Shared};
+use super::{BATCHES, Between, MOST_POINTS, PairCounts, Shared};
 use crate::embree::ShadowPacket;
 use crate::form_factor::analytic::{EXACT, Polygon, exchange_facing, facing};
 use crate::form_factor::table::mean_error;
@@ -12,6 +13,10 @@ use crate::scene::Scene;
 use glam::DVec3;
 use std::f64::consts::PI;
 
+/// Bodies between two elements beyond which points are cheaper than cells.
+const MOST_BODIES: usize = 8;
+/// Relative error of integrals over cells where none is asked for.
+const CELL_ERROR: f64 = 0.01;
 /// Faces in a shaft beyond which rays are cheaper than shadows.
 const MOST_SHADOWS: usize = 48;
 /// Distance, in radii of the polygon, beyond which rules of second degree are within 1e-3 of Lambert's formula.
@@ -48,6 +53,9 @@ pub(super) struct Scratch {
     fresh: Vec<Shadow>,
     pieces: Pieces,
     packet: ShadowPacket,
+    cells: Cells,
+    /// Planes between the row's element and each body, found when they are first needed.
+    past: Vec<Option<Vec<(DVec3, DVec3)>>>,
 }
 
 /// An estimate of one pair.
@@ -69,7 +77,9 @@ impl Shared<'_, '_> {
         let a = &self.elements[i];
         scratch.samples.clear();
         scratch.shadows.iter_mut().for_each(Vec::clear);
-        scratch.shadows.resize(self.faces.len(), Vec::new());
+        scratch.shadows.resize(self.surfaces.len(), Vec::new());
+        scratch.past.clear();
+        scratch.past.resize(self.bodies.len(), None);
         let mut sums = vec![([0.0; BATCHES], 0.0, 0.0); self.objects];
         let mut row = Row {
             exchange: Vec::with_capacity(n - i - 1),
@@ -81,23 +91,35 @@ impl Shared<'_, '_> {
         for j in i + 1..n {
             let b = &self.elements[j];
             let (by_batch, unseen, certain) = &mut sums[b.object as usize];
-            let parts = if a.face == b.face { None } else { facing(&a.polygon, &b.polygon) };
-            let Some((pa, pb)) = parts else {
-                row.counts.averted += 1;
-                row.exchange.push(0.0);
-                row.error.push(0.0);
-                continue;
-            };
-            let (full, estimate) = self.pair(scratch, (i, j), (&pa, &pb), &mut row);
-            match estimate {
-                None => *certain += full,
-                Some(e) => {
-                    by_batch.iter_mut().zip(e.fractions).for_each(|(s, f)| *s += f * full);
-                    *unseen += e.unseen * full * full;
+            let averted = a.surface == b.surface || self.between(i, j).is_some_and(|between| between.averted);
+            let (mut exchange, mut variance, mut met) = (0.0, 0.0, false);
+            for (pa, pb) in a.parts().iter().flat_map(|pa| b.parts().iter().map(move |pb| (pa, pb))) {
+                if averted {
+                    continue;
                 }
+                let cut;
+                let (pa, pb) = if pb.lies_before(pa) && pa.lies_before(pb) {
+                    (pa, pb)
+                } else {
+                    let Some(parts) = facing(pa, pb) else { continue };
+                    cut = parts;
+                    (&cut.0, &cut.1)
+                };
+                met = true;
+                let (full, estimate) = self.pair(scratch, (i, j), (pa, pb), &mut row);
+                match estimate {
+                    None => *certain += full,
+                    Some(e) => {
+                        by_batch.iter_mut().zip(e.fractions).for_each(|(s, f)| *s += f * full);
+                        *unseen += e.unseen * full * full;
+                    }
+                }
+                exchange += full * estimate.map_or(1.0, |e| e.mean);
+                variance += full * full * estimate.map_or(0.0, |e| e.variance);
             }
-            row.exchange.push(full * estimate.map_or(1.0, |e| e.mean));
-            row.error.push((full * estimate.map_or(0.0, |e| e.variance).sqrt()) as f32);
+            row.counts.averted += u64::from(!met);
+            row.exchange.push(exchange);
+            row.error.push(variance.sqrt() as f32);
         }
         for (object, (batches, unseen, certain)) in sums.into_iter().enumerate() {
             let (mean, error) = mean_error(&batches[..self.work.batches]);
@@ -118,22 +140,28 @@ impl Shared<'_, '_> {
         (pa, pb): (&Polygon, &Polygon),
         row: &mut Row,
     ) -> (f64, Option<Estimate>) {
+        if self.work.unoccluded {
+            row.counts.free += 1;
+            return (exchange_facing(pa, pb, self.tolerance()), None);
+        }
+        if self.work.by_cells {
+            if let Some(found) = self.by_cells(scratch, (i, j), (pa, pb), row) {
+                return found;
+            }
+        }
         let full = exchange_facing(pa, pb, self.tolerance());
         let mut between: Vec<u32> = Vec::new();
-        if !self.work.unoccluded {
-            let (f, g) = (self.elements[i].face as usize, self.elements[j].face as usize);
-            let candidates = &self.between[f.min(g) * self.faces.len() + f.max(g)];
-            if !candidates.is_empty() {
-                let mut shaft = Shaft::new(pa, pb, self.eps);
-                between.extend(candidates.iter().filter(|q| shaft.may_block(&self.faces[**q as usize])));
-            }
+        let candidates = self.between(i, j).map_or(&[][..], |between| &between.surfaces);
+        if !candidates.is_empty() {
+            let mut shaft = Shaft::new(pa, pb, self.eps);
+            between.extend(candidates.iter().filter(|q| shaft.may_block(&self.surfaces[**q as usize])));
         }
         if between.is_empty() {
             row.counts.free += 1;
             return (full, None);
         }
-        if between.iter().any(|q| blocks_all(pa, pb, &self.faces[*q as usize].polygon))
-            || self.bodies.iter().any(|body| body.has_any(&between) && body.hides(pa, pb))
+        if between.iter().any(|q| blocks_all(pa, pb, &self.surfaces[*q as usize].polygon))
+            || self.bodies.iter().any(|body| body.is_solid() && body.has_any(&between) && body.hides(pa, pb))
         {
             row.counts.hidden += 1;
             return (0.0, None);
@@ -158,6 +186,70 @@ impl Shared<'_, '_> {
         };
         row.counts.missed += u64::from(estimate.missed);
         (full, Some(estimate))
+    }
+
+    /// What may come between the surfaces of two elements, unless everything is ignored.
+    fn between(&self, i: usize, j: usize) -> Option<&Between> {
+        let (f, g) = (self.elements[i].surface as usize, self.elements[j].surface as usize);
+        self.between.get(f.min(g) * self.surfaces.len() + f.max(g))
+    }
+
+    /// The same as [`Shared::pair`] from bodies; none where too many of them lie between.
+    fn by_cells(
+        &self,
+        scratch: &mut Scratch,
+        (i, j): (usize, usize),
+        (pa, pb): (&Polygon, &Polygon),
+        row: &mut Row,
+    ) -> Option<(f64, Option<Estimate>)> {
+        let (mut bodies, mut count) = ([0; MOST_BODIES], 0);
+        for k in self.between(i, j).map_or(&[][..], |between| &between.bodies) {
+            let body = &self.bodies[*k as usize];
+            let past =
+                scratch.past[*k as usize].get_or_insert_with(|| body.between(&self.elements[i].polygon));
+            let free = past.iter().any(|(o, n)| pb.corners().iter().all(|c| (*c - *o).dot(*n) >= -self.eps));
+            if free {
+                continue;
+            }
+            if count == MOST_BODIES {
+                return None;
+            }
+            bodies[count] = *k as usize;
+            count += 1;
+        }
+        let mut between = [&self.bodies[0]; MOST_BODIES];
+        between.iter_mut().zip(&bodies[..count]).for_each(|(to, k)| *to = &self.bodies[*k]);
+        let between = &between[..count];
+        if between.iter().any(|body| body.hides(pa, pb)) {
+            row.counts.hidden += 1;
+            return Some((0.0, None));
+        }
+        let full = exchange_facing(pa, pb, self.tolerance());
+        if between.is_empty() {
+            row.counts.free += 1;
+            return Some((full, None));
+        }
+        row.counts.cells += 1;
+        // Points belong where the body is far: there the view changes slowly.
+        let distance = |p: &Polygon| {
+            let (middle, size) = (p.middle(), p.area().sqrt());
+            between.iter().map(|body| body.distance(middle) / size).fold(f64::INFINITY, f64::min)
+        };
+        let largest = full / self.elements[i].area.min(self.elements[j].area);
+        let relative = self.work.error.unwrap_or(CELL_ERROR);
+        let accuracy = Accuracy { relative, floor: self.work.floor / largest };
+        let found = if distance(pa) >= distance(pb) {
+            scratch.cells.fraction(pa, pb, between, accuracy)
+        } else {
+            scratch.cells.fraction(pb, pa, between, accuracy)
+        };
+        let variance = found.error * found.error;
+        let missed = self.work.error.is_some()
+            && found.error > relative * found.value
+            && largest * found.value > self.work.floor;
+        row.counts.missed += u64::from(missed);
+        let fractions = [found.value; BATCHES];
+        Some((full, Some(Estimate { fractions, mean: found.value, variance, unseen: variance, missed })))
     }
 
     /// Adds points, one in each randomisation, until there are enough. `see` gives (visible, whole)
@@ -230,7 +322,7 @@ impl Shared<'_, '_> {
         let (normal, batches) = (self.elements[i].polygon.normal, self.work.batches);
         if k < KEPT {
             for q in between {
-                let (kept, face) = (&mut shadows[*q as usize], &self.faces[*q as usize].polygon);
+                let (kept, face) = (&mut shadows[*q as usize], &self.surfaces[*q as usize].polygon);
                 let new = samples[..(k + 1) * batches].iter().skip(kept.len());
                 kept.extend(new.map(|s| Shadow::new(s.point, face)));
             }
@@ -244,7 +336,7 @@ impl Shared<'_, '_> {
                 visible(point, normal, seen, between.iter().map(|q| &shadows[*q as usize][at]), pieces)
             } else {
                 fresh.clear();
-                fresh.extend(between.iter().map(|q| Shadow::new(point, &self.faces[*q as usize].polygon)));
+                fresh.extend(between.iter().map(|q| Shadow::new(point, &self.surfaces[*q as usize].polygon)));
                 visible(point, normal, seen, fresh.iter(), pieces)
             };
         }
