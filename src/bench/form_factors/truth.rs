@@ -166,6 +166,7 @@ pub(super) fn pair_work(seed: u32) -> PairWork<'static> {
         error: None,
         floor: 0.0,
         tolerance: 1e-5,
+        by_cells: false,
         unoccluded: false,
         seed,
         progress: &|_| (),
