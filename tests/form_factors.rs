@@ -108,7 +108,7 @@ fn cube_inside() {
     let faces = box_faces([0.0; 3], [1.0; 3], true);
     let scene = scene(&faces.iter().map(|(n, p)| (*n, vec![p.clone()])).collect::<Vec<_>>());
     for (size, rays) in [(10.0, 65_536), (0.25, 4096)] {
-        let t = table(&scene, size, rays, 1);
+        let t = table(&scene, size, rays, 2);
         let mut squares = 0.0;
         for (i, (a, _)) in faces.iter().enumerate() {
             let row: f64 = t.form_factors[i].iter().sum();
@@ -218,7 +218,7 @@ fn oracle_polygon_pairs() {
                 objects.push(("blocker", blockers));
             }
             let scene = scene(&objects);
-            let t = table(&scene, 1e9, rays, 4);
+            let t = table(&scene, 1e9, rays, 5);
             let mut well_known = true;
             for (a, b, key) in [(0, 1, "F12"), (1, 0, "F21")] {
                 let exact = e[key].as_f64().expect("factor");
