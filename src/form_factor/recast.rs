@@ -75,6 +75,11 @@ impl<'a> Rows<'a> {
         self.summary().is_empty()
     }
 
+    /// A visit casts no rays.
+    pub fn are_kept(&self) -> bool {
+        matches!(self, Rows::Kept(_))
+    }
+
     /// Independent randomisations of each row.
     pub fn batches(&self) -> usize {
         match self {

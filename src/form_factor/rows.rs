@@ -187,6 +187,18 @@ impl<'a> Row<'a> {
         self.sum_batch(batch, |j| x[j])
     }
 
+    /// [`Row::dot`] with a vector in single precision.
+    #[inline]
+    pub fn dot_rough(&self, x: &[[f32; 4]]) -> Rgb {
+        self.sum(0, self.batches(), |j| widen(x[j]))
+    }
+
+    /// [`Row::dot_batch`] with a vector in single precision.
+    #[inline]
+    pub fn dot_batch_rough(&self, batch: usize, x: &[[f32; 4]]) -> Rgb {
+        self.sum_batch(batch, |j| widen(x[j]))
+    }
+
     /// Sum over the columns of one randomisation of the factor times `f`, an estimate of the whole.
     #[inline]
     pub fn sum_batch(&self, batch: usize, f: impl Fn(usize) -> Rgb) -> Rgb {
@@ -216,6 +228,11 @@ impl<'a> Row<'a> {
             }
         }
     }
+}
+
+#[inline]
+fn widen(x: [f32; 4]) -> Rgb {
+    Rgb::new(x[0].into(), x[1].into(), x[2].into())
 }
 
 #[cfg(test)]

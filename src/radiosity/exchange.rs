@@ -12,9 +12,13 @@
 use super::Transport;
 use crate::color::Rgb;
 use crate::form_factor::{Row, Rows};
+use rayon::prelude::*;
 
 /// Largest relative change that closes a row.
 const MOST_CORRECTION: f64 = 0.01;
+
+/// Elements that are worth a task where each takes a few operations.
+pub(super) const MANY: usize = 4096;
 
 /// Rows that close.
 pub(super) struct Exchange<'m> {
@@ -42,6 +46,12 @@ impl<'m> Exchange<'m> {
         self.rows.map(|k, row| row.dot(x) * self.scale[k])
     }
 
+    /// The same from radiosities in single precision: a third of the time where these do not fit the processor's cache.
+    /// Channels are the first three numbers.
+    pub fn gather_rough(&self, x: &[[f32; 4]]) -> Vec<Rgb> {
+        self.rows.map(|k, row| row.dot_rough(x) * self.scale[k])
+    }
+
     /// Visits all rows with what each must be multiplied by.
     pub fn map<T: Send>(&self, f: impl Fn(usize, &Row, f64) -> T + Sync) -> Vec<T> {
         self.rows.map(|k, row| f(k, row, self.scale[k]))
@@ -54,6 +64,12 @@ pub(super) fn residual_operator(
     transport: &Transport,
     h: &[Rgb],
 ) -> Vec<Rgb> {
-    let y = gather(&transport.reflect(h));
-    h.iter().zip(&y).map(|(h, y)| *h - *y).collect()
+    let mut y = gather(&transport.reflect(h));
+    y.par_iter_mut().zip(h).with_min_len(MANY).for_each(|(y, h)| *y = *h - *y);
+    y
+}
+
+/// Radiosities in single precision, padded so that each lies within one line of the cache.
+pub(super) fn round(x: &[Rgb]) -> Vec<[f32; 4]> {
+    x.par_iter().with_min_len(MANY).map(|x| [x.x as f32, x.y as f32, x.z as f32, 0.0]).collect()
 }

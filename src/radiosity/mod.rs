@@ -25,6 +25,7 @@ use crate::emitters::Emitters;
 use crate::form_factor::{Check, EmitterIrradiance, EmitterRows, ExchangeMatrix, Rows};
 use crate::mesh::{Mesh, NONE, Nodes};
 use crate::scene::Scene;
+use rayon::prelude::*;
 use std::f64::consts::PI;
 
 /// The solved radiosity of a scene; every vector holds one value an element.
@@ -220,6 +221,8 @@ impl Transport {
     /// `rho_i H_i + tau_i H'_i` of every element.
     pub fn reflect(&self, irradiance: &[Rgb]) -> Vec<Rgb> {
         (0..irradiance.len())
+            .into_par_iter()
+            .with_min_len(exchange::MANY)
             .map(|e| {
                 let behind = match self.opposite[e] {
                     NONE => Rgb::ZERO,

@@ -12,9 +12,10 @@
 //! an element sees nothing but perfectly white surfaces, `w` takes more bounces.
 
 use super::Transport;
-use super::exchange::{Exchange, residual_operator};
+use super::exchange::{Exchange, MANY, residual_operator, round};
 use crate::color::Rgb;
 use crate::{Error, Result};
+use rayon::prelude::*;
 
 /// Most steps; far above what any reflectance below 1 - 1e-9 needs.
 const MOST_STEPS: usize = 4000;
@@ -64,6 +65,8 @@ pub(super) fn solve(
         ));
     }
     let apply = |x: &[Rgb]| residual_operator(|y| exchange.gather(y), transport, x);
+    // Steps work in single precision; what that costs, the restart from the true residual makes good.
+    let rough = |x: &[Rgb]| residual_operator(|y| exchange.gather_rough(&round(y)), transport, x);
     let bound = Bound::new(apply, n);
     let mut iterations = bound.bounces + 1;
     let norm = norm(incident);
@@ -82,7 +85,7 @@ pub(super) fn solve(
         if done(&state.x, &state.r) {
             break;
         }
-        iterations += state.run(apply, &done, MOST_STEPS / 4);
+        iterations += state.run(rough, &done, MOST_STEPS / 4);
     }
     let mut x = state.x;
     // One more bounce of what is not negative: no dark element keeps a negative rest of the solver's.
@@ -135,8 +138,11 @@ impl Bound {
 
     /// Bound on the largest error over the largest value, worst channel.
     fn relative(&self, x: &[Rgb], r: &[Rgb]) -> f64 {
-        let most = r.iter().zip(&self.d).fold(Rgb::ZERO, |m, (r, d)| m.max((*r / *d).abs()));
-        let largest = x.iter().fold(Rgb::ZERO, |m, x| m.max(x.abs()));
+        let worst = |m: Rgb, (r, d): (&Rgb, &Rgb)| m.max((*r / *d).abs());
+        let most = r.par_iter().zip(&self.d).with_min_len(MANY).fold(|| Rgb::ZERO, worst);
+        let most = most.reduce(|| Rgb::ZERO, Rgb::max);
+        let largest = x.par_iter().with_min_len(MANY).fold(|| Rgb::ZERO, |m, x| m.max(x.abs()));
+        let largest = largest.reduce(|| Rgb::ZERO, Rgb::max);
         let share = |c: usize| if most[c] == 0.0 { 0.0 } else { most[c] * self.weight[c] / largest[c] };
         share(0).max(share(1)).max(share(2))
     }
@@ -183,15 +189,22 @@ impl Krylov {
     /// `t` is `A r`; false where nothing is left to improve.
     pub fn second(&mut self, t: &[Rgb]) -> bool {
         let omega = ratio(dot(t, &self.r), dot(t, t));
-        for k in 0..self.x.len() {
-            self.x[k] += self.alpha * self.p[k] + omega * self.r[k];
-        }
+        let alpha = self.alpha;
+        let both = self.p.par_iter().zip(&self.r);
+        self.x
+            .par_iter_mut()
+            .zip(both)
+            .with_min_len(MANY)
+            .for_each(|(x, (p, r))| *x += alpha * *p + omega * *r);
         self.r = combine(&self.r, -omega, t);
         let next = dot(&self.shadow, &self.r);
         let beta = ratio(next, self.rho) * ratio(self.alpha, omega);
-        for k in 0..self.p.len() {
-            self.p[k] = self.r[k] + beta * (self.p[k] - omega * self.v[k]);
-        }
+        let both = self.r.par_iter().zip(&self.v);
+        self.p
+            .par_iter_mut()
+            .zip(both)
+            .with_min_len(MANY)
+            .for_each(|(p, (r, v))| *p = *r + beta * (*p - omega * *v));
         self.rho = next;
         self.rho != Rgb::ZERO
     }
@@ -229,15 +242,17 @@ pub(super) fn norm(a: &[Rgb]) -> Rgb {
 
 /// Sums in a fixed order: the same on any number of threads.
 fn dot(a: &[Rgb], b: &[Rgb]) -> Rgb {
-    a.iter().zip(b).map(|(a, b)| *a * *b).sum()
+    let part = |(a, b): (&[Rgb], &[Rgb])| a.iter().zip(b).map(|(a, b)| *a * *b).sum();
+    let parts: Vec<Rgb> = a.par_chunks(MANY).zip(b.par_chunks(MANY)).map(part).collect();
+    parts.iter().sum()
 }
 
 fn subtract(a: &[Rgb], b: &[Rgb]) -> Vec<Rgb> {
-    a.iter().zip(b).map(|(a, b)| *a - *b).collect()
+    a.par_iter().zip(b).with_min_len(MANY).map(|(a, b)| *a - *b).collect()
 }
 
 fn combine(a: &[Rgb], f: Rgb, b: &[Rgb]) -> Vec<Rgb> {
-    a.iter().zip(b).map(|(a, b)| *a + f * *b).collect()
+    a.par_iter().zip(b).with_min_len(MANY).map(|(a, b)| *a + f * *b).collect()
 }
 
 /// Channel by channel; a channel that has converged exactly stays where it is.

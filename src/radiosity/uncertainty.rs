@@ -15,9 +15,10 @@
 //! [`Rows::batches`]: crate::form_factor::Rows::batches
 
 use super::Transport;
-use super::exchange::Exchange;
+use super::exchange::{Exchange, round};
 use super::solve::{Krylov, norm};
 use crate::color::Rgb;
+use crate::form_factor::Row;
 use crate::mesh::Mesh;
 use crate::sampling::seed_of;
 use crate::scene::Scene;
@@ -108,7 +109,7 @@ impl Replicas {
                             (Some(p), Some(mean)) => p(row, usize::from(common[first + m])) - mean[row],
                             _ => Rgb::ZERO,
                         };
-                        (0..n).map(|row| parts[row][pick(row, m)].own + shared(row)).collect()
+                        (0..n).into_par_iter().map(|row| parts[row][pick(row, m)].own + shared(row)).collect()
                     })
                     .collect();
                 let turn = Turn { exchange, transport, parts: &parts, pick: &pick };
@@ -261,22 +262,32 @@ struct Turn<'a, 'm> {
 impl Turn<'_, '_> {
     /// `A_m x_m` of each replica that has an x.
     fn apply(&self, xs: [Option<&[Rgb]>; TOGETHER]) -> [Option<Vec<Rgb>>; TOGETHER] {
-        let reflected = xs.map(|x| x.map(|x| self.transport.reflect(x)));
-        let gathered = self.exchange.map(|k, row, scale| {
-            let mut y = [Rgb::ZERO; TOGETHER];
-            for (m, x) in reflected.iter().enumerate() {
-                if let Some(x) = x {
-                    let b = (self.pick)(k, m);
-                    y[m] = row.dot_batch(b, x) * (scale * self.parts[k][b].close);
-                }
-            }
-            y
-        });
-        let mut m = 0;
-        xs.map(|x| {
-            m += 1;
-            x.map(|x| x.iter().zip(&gathered).map(|(x, y)| *x - y[m - 1]).collect())
+        let rough = xs.map(|x| x.map(|x| round(&self.transport.reflect(x))));
+        // A replica at a time keeps its radiosities in the cache; but where rays are cast again, once must do for all.
+        if !self.exchange.rows.are_kept() {
+            let gathered = self.exchange.map(|k, row, scale| {
+                let gathered = |(m, x): (usize, &Option<Vec<_>>)| {
+                    x.as_ref().map_or(Rgb::ZERO, |x| self.gather(m, (k, row, scale), x))
+                };
+                let mut y = [Rgb::ZERO; TOGETHER];
+                y.iter_mut().zip(rough.iter().enumerate()).for_each(|(y, x)| *y = gathered(x));
+                y
+            });
+            return std::array::from_fn(|m| {
+                xs[m].map(|x| x.iter().zip(&gathered).map(|(x, y)| *x - y[m]).collect())
+            });
+        }
+        std::array::from_fn(|m| {
+            let (x, rough) = (xs[m]?, rough[m].as_ref()?);
+            Some(self.exchange.map(|k, row, scale| x[k] - self.gather(m, (k, row, scale), rough)))
         })
+    }
+
+    /// What a replica's own randomisation of row k gathers.
+    #[inline]
+    fn gather(&self, m: usize, (k, row, scale): (usize, &Row, f64), x: &[[f32; 4]]) -> Rgb {
+        let b = (self.pick)(k, m);
+        row.dot_batch_rough(b, x) * (scale * self.parts[k][b].close)
     }
 
     /// Solves `A_m x_m = b_m` until the residuals have the share [`ROUGH`] of the right-hand sides.
