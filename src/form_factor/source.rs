@@ -150,17 +150,14 @@ impl Lanes {
     #[inline]
     pub(super) fn rays(&self, points: &ScrambledPoints, first: usize) -> RayLanes {
         let mut p = [[0.0f32; LANES]; 4];
-        for d in 0..4 {
+        for (d, (lanes, shift)) in p.iter_mut().zip(&self.shift).enumerate() {
             let all = points.coordinate(d);
             if self.width == LANES {
                 let x = all[first];
-                for l in 0..LANES {
-                    p[d][l] = unit(x ^ self.shift[d][l]);
-                }
+                lanes.iter_mut().zip(shift).for_each(|(lane, s)| *lane = unit(x ^ s));
             } else {
-                for l in 0..LANES {
-                    let x = all[(first + l / self.width).min(all.len() - 1)];
-                    p[d][l] = unit(x ^ self.shift[d][l]);
+                for (l, (lane, s)) in lanes.iter_mut().zip(shift).enumerate() {
+                    *lane = unit(all[(first + l / self.width).min(all.len() - 1)] ^ s);
                 }
             }
         }

@@ -85,7 +85,7 @@ pub(super) fn solve(
         if done(&state.x, &state.r) {
             break;
         }
-        iterations += state.run(rough, &done, MOST_STEPS / 4);
+        iterations += state.run(rough, done, MOST_STEPS / 4);
     }
     let mut x = state.x;
     // One more bounce of what is not negative: no dark element keeps a negative rest of the solver's.
