@@ -9,7 +9,7 @@ use std::hint::black_box;
 use twopass::bench::embedded;
 use twopass::color::Rgb;
 use twopass::embree::{Device, RayLanes, RayPacket};
-use twopass::form_factor::{Casting, HemicubeSettings, cast, element_rays, hemicube};
+use twopass::form_factor::{Casting, HemicubeSettings, cast, hemicube, packets_of};
 use twopass::mesh::{Mesh, Sides, default_element_size};
 use twopass::radiosity::{Transport, solve_irradiance};
 use twopass::sampling::SobolTable;
@@ -34,28 +34,24 @@ fn kernels(c: &mut Criterion) {
 fn rays(c: &mut Criterion, visibility: &Visibility, mesh: &Mesh) {
     let table = SobolTable::new(RAYS);
     let mut group = c.benchmark_group("rays");
-    group.throughput(Throughput::Elements(u64::from(RAYS)));
-    group.bench_function("generation", |b| {
-        let mut element = 0;
-        b.iter(|| {
-            element = (element + 1) % mesh.len() as u32;
-            black_box(element_rays(visibility, mesh, element, &table, 0))
-        });
-    });
+    group.throughput(Throughput::Elements(16 * u64::from(RAYS)));
+    // Those of 16 neighbouring elements.
+    let mut first = 0;
+    let mut next = || {
+        first = (first + 16) % (mesh.len() as u32 - 15);
+        packets_of(visibility, mesh, first..first + 16, &table, 0)
+    };
+    group.bench_function("generation", |b| b.iter(|| black_box(next())));
     let trace = |packet: &mut RayPacket, lanes: &[RayLanes]| {
         for lanes in lanes {
-            packet.fill(lanes, 16);
-            visibility.closest16(packet, false);
+            packet.fill(lanes, u16::MAX);
+            visibility.closest16(packet, true);
         }
         black_box(packet.hit(0));
     };
-    let (mut packet, mut element) = (RayPacket::new(), 0);
+    let mut packet = RayPacket::new();
     group.bench_function("packet trace", |b| {
-        let next = || {
-            element = (element + 1) % mesh.len() as u32;
-            element_rays(visibility, mesh, element, &table, 0)
-        };
-        b.iter_batched(next, |lanes| trace(&mut packet, &lanes), BatchSize::SmallInput);
+        b.iter_batched(&mut next, |lanes| trace(&mut packet, &lanes), BatchSize::SmallInput);
     });
     group.finish();
 }

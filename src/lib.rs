@@ -48,6 +48,7 @@ pub mod form_factor;
 pub mod geometry;
 pub mod hard_cases;
 pub mod image;
+pub mod memory;
 pub mod mesh;
 pub mod output;
 pub mod pipeline;

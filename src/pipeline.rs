@@ -3,7 +3,8 @@
 
 use crate::color::Rgb;
 use crate::emitters::Emitters;
-use crate::form_factor::{self, Casting, EmitterWork, ExchangeMatrix, pass_on};
+use crate::form_factor::{self, Casting, EmitterRows, EmitterWork, Recast, Rows, pass_on};
+use crate::memory::{Factors, Need};
 use crate::mesh::{Mesh, Sides, default_element_size};
 use crate::radiosity::{self, Directional, EmitterLight, Solution};
 use crate::sampling::MAX_POINTS;
@@ -17,8 +18,8 @@ use std::time::Instant;
 pub const DEFAULT_RAYS: u32 = 1024;
 /// Independent randomisations of each row, for standard errors.
 pub const BATCHES: u32 = 4;
-/// Relative residual of the radiosity solve.
-pub const TOLERANCE: f64 = 1e-8;
+/// Relative error of the radiosity solve: a thousandth of the standard errors that a million rays an element would leave.
+pub const TOLERANCE: f64 = 1e-7;
 
 /// News from a running stage.
 #[derive(Debug, Clone, Copy)]
@@ -102,9 +103,11 @@ pub struct Pass1Result {
     pub solution: Solution,
     /// Residuals of the form factors.
     pub residuals: Residuals,
-    /// Entries of the matrix.
+    /// What became of the form factors.
+    pub factors: Factors,
+    /// Entries of the matrix; 0 without one.
     pub stored: usize,
-    /// Bytes of the matrix.
+    /// Bytes of the matrix; 0 without one.
     pub matrix_bytes: usize,
     /// What the user should know.
     pub warnings: Vec<String>,
@@ -119,8 +122,25 @@ pub fn require_light(scene: &Scene, emitters: &Emitters) -> Result<()> {
     Err(Error::scene(scene.path.display().to_string(), help))
 }
 
-/// Pass 1: from a scene that is ready for rays to its radiosity.
+/// Pass 1: from a scene that is ready for rays to its radiosity, whatever memory that takes.
 pub fn solve(
+    visibility: &Visibility,
+    emitters: &Emitters,
+    cameras: &[Camera],
+    settings: &Pass1,
+    observer: Observer,
+    stages: &mut Vec<Stage>,
+) -> Result<Pass1Result> {
+    solve_within(None, visibility, emitters, cameras, settings, observer, stages)
+}
+
+/// [`solve`] in at most `limit` bytes, as far as can be told before: where the matrix does not fit, its rays are cast again for
+/// each multiplication, with the same result.
+///
+/// # Errors
+/// As [`solve`], and where pass 1 does not fit without a matrix either.
+pub fn solve_within(
+    limit: Option<u64>,
     visibility: &Visibility,
     emitters: &Emitters,
     cameras: &[Camera],
@@ -134,49 +154,83 @@ pub fn solve(
     let specular = Features::of(scene).specular;
     // As many as the matrix will have: long rows need several sequences.
     let batches = BATCHES.max(settings.rays.div_ceil(MAX_POINTS)).min(settings.rays.max(1));
+    let coloured = scene.materials.iter().any(|m| m.is_specular() && !m.has_grey_specular());
+    let channels = if !specular {
+        0
+    } else if coloured {
+        3
+    } else {
+        1
+    };
+    let need = Need::new(&mesh, settings.rays, batches, channels);
+    let factors = limit.map_or(Ok(Factors::Kept), |limit| need.choose(limit))?;
     let samples = (settings.rays / 4).div_ceil(batches).max(16);
     // Particles cost no more than the rows' rays, where they can bring anything.
     let particles = if specular { particles_per_batch(mesh.len(), settings.rays, batches) } else { 0 };
-    let (matrix, light) = stage("form-factors", mesh.len() as u64, observer, stages, || {
-        let work = EmitterWork { samples: batches * samples, particles: batches * particles };
-        let casting = Casting {
-            rays: settings.rays,
-            batches,
-            seed: settings.seed,
-            specular,
-            reached: Some(&reached),
-            emitters: (!emitters.is_empty()).then_some((emitters, work)),
-            progress: &|n| observer(Event::Advance(n)),
-        };
-        let (matrix, hemisphere) = form_factor::cast(visibility, &mesh, &casting);
-        let per_row = matrix.rays_per_row;
-        let mut light = EmitterLight { hemisphere, sampled: Vec::new(), particles: None };
-        let mut rays = matrix.rays;
-        if !emitters.is_empty() {
-            rays += mesh.len() as u64 * u64::from(work.samples);
-            let seed = settings.seed;
-            light.sampled =
-                radiosity::sample_emitters(visibility, &mesh, emitters, (batches, samples), per_row, seed);
-            if particles > 0 && !mesh.is_empty() {
-                match radiosity::trace_particles(
-                    visibility,
-                    &mesh,
-                    emitters,
-                    (batches, particles),
-                    per_row,
-                    seed,
-                ) {
-                    Ok(caustic) => {
-                        rays += caustic.rays;
-                        light.particles = Some(caustic);
-                    }
-                    Err(e) => return (Err(e), rays),
+    let work = EmitterWork { samples: batches * samples, particles: batches * particles };
+    let casting = Casting {
+        rays: settings.rays,
+        batches,
+        seed: settings.seed,
+        specular,
+        reached: Some(&reached),
+        emitters: (!emitters.is_empty()).then_some((emitters, work)),
+        progress: &|n| observer(Event::Advance(n)),
+    };
+    // The light straight from the emitters beside what the hemisphere rays found of it.
+    let straight = |rows: Rows, mut found: EmitterRows| {
+        let per_row = rows.rays_per_row();
+        let mut light = EmitterLight { rows: None, particles: None };
+        if emitters.is_empty() {
+            return (Ok(light), 0);
+        }
+        let mut rays = mesh.len() as u64 * u64::from(work.samples);
+        let (seed, count) = (settings.seed, (batches, samples));
+        radiosity::sample_emitters(visibility, &mesh, emitters, count, per_row, seed, &mut found);
+        light.rows = Some(found);
+        if particles > 0 && !mesh.is_empty() {
+            let count = (batches, particles);
+            match radiosity::trace_particles(visibility, &mesh, emitters, count, per_row, seed) {
+                Ok(caustic) => {
+                    rays += caustic.rays;
+                    light.particles = Some(caustic);
                 }
+                Err(e) => return (Err(e), rays),
             }
         }
-        (Ok((matrix, light)), rays)
-    })?;
-    stage("solve", 0, observer, stages, || (finish(visibility, mesh, &matrix, emitters, light), 0))
+        (Ok(light), rays)
+    };
+    let total = mesh.len() as u64;
+    let mut result = match factors {
+        Factors::Kept => {
+            let (matrix, light) = stage("form-factors", total, observer, stages, || {
+                let (matrix, found) = form_factor::cast(visibility, &mesh, &casting);
+                let (light, rays) = straight((&matrix).into(), found);
+                let rays = rays + matrix.rays;
+                (light.map(|light| (matrix, light)), rays)
+            })?;
+            let mut result = stage("solve", 0, observer, stages, || {
+                (finish(visibility, mesh.clone(), (&matrix).into(), emitters, light), 0)
+            })?;
+            (result.stored, result.matrix_bytes) = (matrix.stored(), matrix.bytes());
+            result
+        }
+        Factors::CastAgain => {
+            let (recast, light) = stage("form-factors", total, observer, stages, || {
+                let (recast, found) = Recast::new(visibility, &mesh, &casting);
+                let (light, rays) = straight(Rows::Cast(&recast), found);
+                let rays = rays + recast.rays();
+                (light.map(|light| (recast, light)), rays)
+            })?;
+            stage("solve", 0, observer, stages, || {
+                let before = recast.rays();
+                let result = finish(visibility, mesh.clone(), Rows::Cast(&recast), emitters, light);
+                (result, recast.rays() - before)
+            })?
+        }
+    };
+    result.factors = factors;
+    Ok(result)
 }
 
 /// Directional radiosity of a scene that is ready for rays, with about `directions` cells a hemisphere: the method
@@ -198,9 +252,10 @@ pub fn solve_directional(
             vec![Rgb::ZERO; mesh.len()]
         } else {
             // The rays of the hemisphere's cells leave the light of emitters to these samples.
-            let sampled =
-                radiosity::sample_emitters(visibility, &mesh, emitters, (1, samples), 0, settings.seed);
-            sampled.iter().map(|s| s.straight).collect()
+            let mut found = EmitterRows::dark(mesh.len(), 1);
+            let (count, seed) = ((1, samples), settings.seed);
+            radiosity::sample_emitters(visibility, &mesh, emitters, count, 0, seed, &mut found);
+            found.mean.iter().map(|s| s.straight).collect()
         };
         let rays = mesh.len() as u64 * u64::from(samples);
         let solution =
@@ -240,7 +295,7 @@ fn particles_per_batch(elements: usize, rays: u32, batches: u32) -> u32 {
 fn finish(
     visibility: &Visibility,
     mesh: Mesh,
-    matrix: &ExchangeMatrix,
+    rows: Rows,
     emitters: &Emitters,
     light: EmitterLight,
 ) -> Result<Pass1Result> {
@@ -250,12 +305,13 @@ fn finish(
         if material.is_specular() { pass_on(material) } else { Rgb::ZERO }
     };
     let area: f64 = (0..mesh.len() as u32).map(|e| mesh.area(e)).sum();
-    let open: f64 = (0..mesh.len()).map(|e| mesh.area(e as u32) * matrix.summary[e].exposed).sum();
+    let open: f64 = (0..mesh.len()).map(|e| mesh.area(e as u32) * rows.summary()[e].exposed).sum();
+    let check = rows.check(scene, &mesh, keep);
     let residuals = Residuals {
-        closure: matrix.closure_residual(keep),
-        reciprocity: matrix.reciprocity_residual(scene, &mesh),
+        closure: check.closure,
+        reciprocity: check.reciprocity,
         covered: if area > 0.0 { 1.0 - open / area } else { 0.0 },
-        dropped: matrix.summary.iter().map(|s| s.dropped.max_element()).fold(0.0, f64::max),
+        dropped: rows.summary().iter().map(|s| s.dropped.max_element()).fold(0.0, f64::max),
     };
     let mut warnings = visibility.warnings();
     if mesh.is_empty() {
@@ -267,7 +323,8 @@ fn finish(
             100.0 * residuals.dropped
         ));
     }
-    let solution = radiosity::solve(scene, mesh, matrix, emitters, light, TOLERANCE)?;
-    warnings.extend(radiosity::warnings(scene, &solution, matrix));
-    Ok(Pass1Result { solution, residuals, stored: matrix.stored(), matrix_bytes: matrix.bytes(), warnings })
+    let solution = radiosity::solve(scene, mesh, (rows, &check), emitters, light, TOLERANCE)?;
+    warnings.extend(radiosity::warnings(scene, &solution, rows));
+    let factors = Factors::CastAgain;
+    Ok(Pass1Result { solution, residuals, factors, stored: 0, matrix_bytes: 0, warnings })
 }

@@ -32,9 +32,9 @@ pub fn sobol(index: u32, set: u32, seed: u32) -> [f64; 4] {
 /// Owen scrambling permutes elementary intervals as a whole, so the order sorts the scrambled
 /// points of every seed too: 16 consecutive points lie within a fraction 16/n of the square.
 pub struct SobolTable {
-    /// Bit-reversed coordinates of 16 points by dimension; the last block may be padded.
-    blocks: Vec<[[u32; 16]; 4]>,
-    len: usize,
+    /// Bit-reversed coordinates by dimension.
+    reversed: [Vec<u32>; 4],
+    shared_bits: u32,
 }
 
 impl SobolTable {
@@ -59,35 +59,53 @@ impl SobolTable {
             })
             .collect();
         order.sort_unstable();
-        let mut blocks = vec![[[0; 16]; 4]; order.len().div_ceil(16)];
-        for (k, (_, i)) in order.iter().enumerate() {
-            for (d, lanes) in blocks[k / 16].iter_mut().enumerate() {
-                lanes[k % 16] = reversed(*i, d as u32);
-            }
-        }
-        SobolTable { blocks, len: order.len() }
+        let shared_bits = (1..=8)
+            .take_while(|b| {
+                // Sorted, the points of a cell follow each other: equally many in each cell means that each run is as long.
+                let cell = |k: usize| order[k].0 >> (64 - 2 * b);
+                let each = order.len() >> (2 * b);
+                each << (2 * b) == order.len()
+                    && each > 0
+                    && (0..order.len()).all(|k| cell(k) == (k / each) as u64)
+            })
+            .count() as u32;
+        let reversed = [0, 1, 2, 3].map(|d| order.iter().map(|(_, i)| reversed(*i, d)).collect());
+        SobolTable { reversed, shared_bits }
     }
 
     /// Number of points.
     pub fn len(&self) -> usize {
-        self.len
+        self.reversed[0].len()
     }
 
     /// Never true: a table holds at least one point.
     pub fn is_empty(&self) -> bool {
-        self.len == 0
+        false
     }
 
-    /// Points `16 k` to `16 k + 15` under one scrambling, by dimension, in [0, 1).
-    #[inline]
-    pub fn block(&self, k: usize, scramble: &Scramble) -> [[f32; 16]; 4] {
-        let mut out = [[0.0; 16]; 4];
-        for (d, lanes) in out.iter_mut().enumerate() {
-            for (x, bits) in lanes.iter_mut().zip(&self.blocks[k][d]) {
-                *x = parts::u32_to_f32_norm(parts::owen_scramble_rev(*bits, scramble.0[d]).reverse_bits());
-            }
+    /// The largest b for which each of the 4^b equal cells of the direction holds equally many points.
+    pub fn shared_bits(&self) -> u32 {
+        self.shared_bits
+    }
+
+    /// All points under one scrambling.
+    pub fn scramble(&self, scramble: &Scramble, points: &mut ScrambledPoints) {
+        for ((out, reversed), seed) in points.0.iter_mut().zip(&self.reversed).zip(scramble.0) {
+            out.clear();
+            out.extend(reversed.iter().map(|x| parts::owen_scramble_rev(*x, seed).reverse_bits()));
         }
-        out
+    }
+}
+
+/// Points of a [`SobolTable`] under one scrambling, in the table's order.
+#[derive(Debug, Default)]
+pub struct ScrambledPoints([Vec<u32>; 4]);
+
+impl ScrambledPoints {
+    /// Coordinate `d` (0 to 3) of every point, in units of 2^-32.
+    #[inline]
+    pub fn coordinate(&self, d: usize) -> &[u32] {
+        &self.0[d]
     }
 }
 
@@ -173,11 +191,10 @@ mod tests {
         for seed in [1, 77, 12345] {
             let scramble = Scramble::new(seed);
             let mut cells = [0; 256];
-            let points: Vec<[f32; 4]> = (0..256)
-                .map(|k| {
-                    let block = table.block(k / 16, &scramble);
-                    [0, 1, 2, 3].map(|d| block[d][k % 16])
-                })
+            let mut all = ScrambledPoints::default();
+            table.scramble(&scramble, &mut all);
+            let points: Vec<[f64; 4]> = (0..256)
+                .map(|k| [0, 1, 2, 3].map(|d| f64::from(all.coordinate(d)[k]) / 4_294_967_296.0))
                 .collect();
             for p in &points {
                 assert!(p.iter().all(|x| (0.0..1.0).contains(x)));
@@ -202,16 +219,15 @@ mod tests {
     #[test]
     fn random_points_are_independent() {
         const RUNS: u32 = 4000;
-        let (n, box_) = (64u32, [0.3, 0.7, 0.5, 0.9]);
-        let p: f64 = box_.iter().map(|x| f64::from(*x)).product();
+        let (n, box_) = (64u32, [0.3f64, 0.7, 0.5, 0.9]);
+        let p: f64 = box_.iter().product();
         let share = |table: &SobolTable, seed: u32| {
             let scramble = Scramble::new(seed_of(&[seed, 77]));
-            let inside = |block: &[[f32; 16]; 4], k: usize| (0..4).all(|d| block[d][k] < box_[d]);
-            let count = |b: usize| {
-                let block = table.block(b, &scramble);
-                (0..16).filter(|k| inside(&block, *k)).count()
-            };
-            (0..n as usize / 16).map(count).sum::<usize>() as f64 / f64::from(n)
+            let mut points = ScrambledPoints::default();
+            table.scramble(&scramble, &mut points);
+            let at = |d: usize, k: usize| f64::from(points.coordinate(d)[k]) / 4_294_967_296.0;
+            let inside = |k: &usize| (0..4).all(|d| at(d, *k) < box_[d]);
+            (0..n as usize).filter(inside).count() as f64 / f64::from(n)
         };
         let variance = |share: &dyn Fn(u32) -> f64| {
             let (mut sum, mut square) = (0.0, 0.0);
@@ -231,6 +247,25 @@ mod tests {
         let sobol = SobolTable::new(n);
         let ratio = variance(&|s| share(&sobol, s));
         assert!(ratio < 0.5, "{ratio}");
+    }
+
+    /// The cells of directions that elements share hold equally many points, and none finer do.
+    #[test]
+    fn shared_cells_are_equally_full() {
+        for n in [1, 4, 16, 48, 63, 64, 100, 256, 1024] {
+            let table = SobolTable::new(n);
+            let mut points = ScrambledPoints::default();
+            table.scramble(&Scramble::new(9), &mut points);
+            let equal = |b: u32| {
+                let mut cells = std::collections::HashMap::<(u32, u32), usize>::new();
+                let leading = |d: usize, k: usize| points.coordinate(d)[k].checked_shr(32 - b).unwrap_or(0);
+                (0..table.len()).for_each(|k| *cells.entry((leading(2, k), leading(3, k))).or_default() += 1);
+                cells.len() == 1 << (2 * b) && cells.values().all(|c| *c == table.len() >> (2 * b))
+            };
+            let b = table.shared_bits();
+            assert!((0..=b).all(equal) && !equal(b + 1), "{n} points: {b}");
+        }
+        assert_eq!(SobolTable::new(64).shared_bits(), 3);
     }
 
     #[test]

@@ -4,7 +4,7 @@ use super::record::{Chart, Figure, PARAMETER, Subject, Unit};
 use super::{Context, Measurements, embedded, pool, rounds, thread_counts, threads_in_words};
 use crate::Result;
 use crate::embree::{Queries, Ray, Width};
-use crate::form_factor::{Casting, cast, element_rays};
+use crate::form_factor::{Casting, cast, packets_of};
 use crate::mesh::{Mesh, Sides, default_element_size};
 use crate::sampling::{SobolTable, seed_of};
 use crate::visibility::Visibility;
@@ -12,8 +12,8 @@ use glam::Vec3;
 use rayon::prelude::*;
 use std::time::Instant;
 
-/// Elements whose rays are traced at a time: their queries stay in the cache.
-const TOGETHER: usize = 8;
+/// Groups of 16 elements whose rays are traced at a time.
+const TOGETHER: usize = 1;
 
 const RATE: &str = "rays a second";
 const RATIO: &str = "of Embree's rate";
@@ -30,11 +30,15 @@ pub fn run(context: &Context) -> Result<Measurements> {
 }
 
 /// How Embree is called.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, PartialEq)]
 struct Call {
     width: Width,
     sorted: bool,
+    coherent: bool,
 }
+
+/// What the form-factor stage asks of Embree.
+const AS_THE_STAGE: Call = Call { width: Width::Sixteen, sorted: true, coherent: true };
 
 fn scene(context: &Context, name: &str) -> Result<(Subject, Option<Figure>)> {
     let scene = embedded(name)?;
@@ -46,12 +50,16 @@ fn scene(context: &Context, name: &str) -> Result<(Subject, Option<Figure>)> {
         name,
         format!("{name}: {} faces, {} elements, {rays} rays each", scene.faces.len(), mesh.len()),
         "The same rays are traced by Embree alone, in calls of 1, 4, 8 and 16 rays, and by the form-factor stage, which also \
-         makes the rays and adds up what they hit. \"Sorted\" are the rays in the order in which the stage casts them: from one \
-         element at a time, neighbours in direction together. \"Unsorted\" are the same rays shuffled. Only calls into Embree are timed for \
+         makes the rays and adds up what they hit. \"Sorted\" are the rays in the order in which the stage casts them: 16 \
+         neighbouring elements at a time, rays of one cell of directions together. \"Unsorted\" are the same rays shuffled. \
+         \"Coherent\" are calls with Embree's flag of that name. Only calls into Embree are timed for \
          Embree; the whole stage is timed for the stage. All take turns within one process.",
     );
-    let calls: Vec<Call> =
-        Width::ALL.into_iter().flat_map(|width| [true, false].map(|sorted| Call { width, sorted })).collect();
+    let calls: Vec<Call> = Width::ALL
+        .into_iter()
+        .flat_map(|width| [true, false].map(|sorted| Call { width, sorted, coherent: false }))
+        .chain([AS_THE_STAGE])
+        .collect();
     let all = context.threads();
     let threads = thread_counts(context);
     let mut ratios = Vec::new();
@@ -66,11 +74,14 @@ fn scene(context: &Context, name: &str) -> Result<(Subject, Option<Figure>)> {
             if !counts {
                 return Ok(());
             }
-            // What the stage itself asks of Embree: packets of 16, sorted.
-            let base = calls.iter().zip(&rates).find(|(c, _)| c.width == Width::Sixteen && c.sorted);
+            let base = calls.iter().zip(&rates).find(|(c, _)| **c == AS_THE_STAGE);
             let base = base.map_or(f64::NAN, |(_, rate)| *rate);
-            let order = |sorted: bool| if sorted { "Embree alone, sorted" } else { "Embree alone, unsorted" };
-            let alone = calls.iter().map(|c| (order(c.sorted), c.width.rays())).zip(rates.iter().copied());
+            let order = |c: &Call| match (c.sorted, c.coherent) {
+                (true, true) => "Embree alone, sorted, coherent",
+                (true, false) => "Embree alone, sorted",
+                (false, _) => "Embree alone, unsorted",
+            };
+            let alone = calls.iter().map(|c| (order(c), c.width.rays())).zip(rates.iter().copied());
             for ((kind, width), rate) in alone.chain([((STAGE, Width::Sixteen.rays()), stage)]) {
                 let threads = threads_in_words(n);
                 let series = subject.series(&format!("{kind}, {threads}"), "rays a call");
@@ -88,11 +99,11 @@ fn scene(context: &Context, name: &str) -> Result<(Subject, Option<Figure>)> {
         "Rays a second over rays a call",
         PARAMETER,
         RATE,
-        "Higher is faster. Packets help where their rays are neighbours (sorted); the single points at 16 are the whole form-factor \
-         stage, which calls Embree with sorted packets of 16.",
+        "Higher is faster. Packets help where their rays are neighbours (sorted); the single points at 16 are sorted packets with the \
+         coherent flag, and the whole form-factor stage, which calls Embree with them.",
     ));
     subject.notes.push(format!(
-        "\"{RATIO}\" compares with packets of 16, sorted, in the same round: what the stage asks of Embree."
+        "\"{RATIO}\" compares with packets of 16, sorted and coherent, in the same round: what the stage asks of Embree."
     ));
     let label = format!(
         "of Embree's own rate on the same rays is kept by the form-factor stage ({name}, {all} threads)"
@@ -103,18 +114,19 @@ fn scene(context: &Context, name: &str) -> Result<(Subject, Option<Figure>)> {
 /// Rays a second of Embree alone: rays over the seconds within its calls, over all threads.
 fn embree_rate(visibility: &Visibility, mesh: &Mesh, rays: u32, seed: u32, call: Call) -> f64 {
     let table = SobolTable::new(rays);
-    // Elements in an order without neighbours, so that an unsorted batch comes from all over the scene.
-    let mut order: Vec<u32> = (0..mesh.len() as u32).collect();
+    let n = mesh.len() as u32;
+    let mut groups: Vec<u32> = (0..n.div_ceil(16)).collect();
+    // Groups in an order without neighbours, so that an unsorted batch comes from all over the scene.
     if !call.sorted {
-        order.sort_by_key(|e| seed_of(&[seed, *e, 0x0e1]));
+        groups.sort_by_key(|g| seed_of(&[seed, *g, 0x0e1]));
     }
-    let batches: Vec<(f64, usize)> = order
-        .par_chunks(TOGETHER)
+    let batches: Vec<(f64, usize)> = groups
+        .par_chunks(if call.sorted { TOGETHER } else { 4 * TOGETHER })
         .with_min_len(4)
-        .map(|elements| {
-            let mut batch: Vec<Ray> = Vec::with_capacity(elements.len() * rays as usize);
-            for &element in elements {
-                for lanes in element_rays(visibility, mesh, element, &table, seed) {
+        .map(|groups| {
+            let mut batch: Vec<Ray> = Vec::with_capacity(groups.len() * 16 * rays as usize);
+            for &g in groups {
+                for lanes in packets_of(visibility, mesh, 16 * g..(16 * g + 16).min(n), &table, seed) {
                     let at = |v: &[[f32; 16]; 3], k: usize| Vec3::new(v[0][k], v[1][k], v[2][k]);
                     batch.extend((0..16).map(|k| Ray::new(at(&lanes.origin, k), at(&lanes.direction, k))));
                 }
@@ -123,14 +135,14 @@ fn embree_rate(visibility: &Visibility, mesh: &Mesh, rays: u32, seed: u32, call:
                 let mut keyed: Vec<(u32, Ray)> = batch
                     .iter()
                     .enumerate()
-                    .map(|(k, ray)| (seed_of(&[seed, elements[0], k as u32]), *ray))
+                    .map(|(k, ray)| (seed_of(&[seed, groups[0], k as u32]), *ray))
                     .collect();
                 keyed.sort_by_key(|k| k.0);
                 batch = keyed.into_iter().map(|k| k.1).collect();
             }
             let mut queries = Queries::new(&batch, call.width);
             let start = Instant::now();
-            visibility.embree().trace(&mut queries, false);
+            visibility.embree().trace(&mut queries, call.coherent);
             (start.elapsed().as_secs_f64(), queries.len())
         })
         .collect();

@@ -53,6 +53,21 @@ pub struct Pass1Args {
 }
 
 #[derive(Debug, ClapArgs)]
+pub struct MemoryArgs {
+    /// Memory that pass 1 may take, such as 500M or 6G [default: three quarters of what is free]. Where the matrix of form
+    /// factors does not fit, rays are cast again for each multiplication: slower, with the same result.
+    #[arg(long, value_name = "SIZE", value_parser = crate::memory::parse_size, allow_negative_numbers = true)]
+    pub max_memory: Option<u64>,
+}
+
+impl MemoryArgs {
+    /// Bytes; none where neither the user nor the system says.
+    pub fn limit(&self) -> Option<u64> {
+        self.max_memory.or_else(crate::memory::allowed)
+    }
+}
+
+#[derive(Debug, ClapArgs)]
 pub struct RenderArgs {
     /// Scene file (TOML).
     pub scene: PathBuf,
@@ -101,6 +116,8 @@ pub struct RenderArgs {
     #[command(flatten)]
     pub pass1: Pass1Args,
     #[command(flatten)]
+    pub memory: MemoryArgs,
+    #[command(flatten)]
     pub common: Common,
 }
 
@@ -116,6 +133,8 @@ pub struct SolveArgs {
     pub report: Option<PathBuf>,
     #[command(flatten)]
     pub pass1: Pass1Args,
+    #[command(flatten)]
+    pub memory: MemoryArgs,
     #[command(flatten)]
     pub common: Common,
 }

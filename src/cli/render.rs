@@ -6,7 +6,8 @@ use super::progress::Progress;
 use crate::embree::Device;
 use crate::emitters::Emitters;
 use crate::image::{self, WriteOptions};
-use crate::pipeline::{self, Pass1, Stage};
+use crate::memory::Factors;
+use crate::pipeline::{self, Pass1, Pass1Result, Stage};
 use crate::render::{Estimator, Method, Quality, Settings, render, render_directional};
 use crate::report::{Pass1Report, Report, Versions, command_line};
 use crate::scene::{Scene, load};
@@ -59,8 +60,17 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         (picture, solution.elements())
     } else {
         if matches!(settings.method, Method::TwoPass(_) | Method::Radiosity) {
-            let result =
-                pipeline::solve(&visibility, &emitters, cameras, &pass1_settings, observer, &mut stages)?;
+            let (limit, settings) = (args.memory.limit(), &pass1_settings);
+            let result = pipeline::solve_within(
+                limit,
+                &visibility,
+                &emitters,
+                cameras,
+                settings,
+                observer,
+                &mut stages,
+            )?;
+            tell_factors(&progress, &result);
             result.warnings.iter().for_each(|w| progress.warn(w));
             warnings.extend(result.warnings.iter().cloned());
             pass1 = Some(result);
@@ -94,6 +104,16 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         report.write(path)?;
     }
     Ok(())
+}
+
+/// Says where form factors were not kept: the solve takes longer than a user may expect.
+pub fn tell_factors(progress: &Progress, result: &Pass1Result) {
+    if result.factors == Factors::CastAgain {
+        progress.line(
+            "the matrix of form factors would not fit the memory (--max-memory): its rays were cast again for each \
+             multiplication",
+        );
+    }
 }
 
 /// Settings of pass 1: the command line over the scene file over the defaults.

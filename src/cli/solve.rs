@@ -3,7 +3,7 @@
 use super::args::SolveArgs;
 use super::check_outputs;
 use super::progress::Progress;
-use super::render::pass1;
+use super::render::{pass1, tell_factors};
 use crate::embree::Device;
 use crate::emitters::Emitters;
 use crate::output::write_whole;
@@ -28,7 +28,11 @@ pub fn run(args: &SolveArgs) -> Result<()> {
     let visibility =
         pipeline::stage("build", 0, observer, &mut stages, || (Visibility::new(&device, &scene), 0))?;
     let emitters = Emitters::new(&visibility);
-    let result = pipeline::solve(&visibility, &emitters, &scene.cameras, &settings, observer, &mut stages)?;
+    let limit = args.memory.limit();
+    let cameras = &scene.cameras;
+    let result =
+        pipeline::solve_within(limit, &visibility, &emitters, cameras, &settings, observer, &mut stages)?;
+    tell_factors(&progress, &result);
     result.warnings.iter().for_each(|w| progress.warn(w));
     let versions = Versions::new(&device);
     let meta = serde_json::json!({

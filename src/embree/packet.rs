@@ -73,10 +73,10 @@ impl RayPacket {
         self.valid.0[lane] = -i32::from(ray.is_valid());
     }
 
-    /// Puts endless rays into the first `count` lanes and empties the others: like [`RayPacket::set`] lane by
-    /// lane, but at the speed of copying.
+    /// Puts endless rays into the lanes whose bit of `active` is set and empties the others: like [`RayPacket::set`] lane
+    /// by lane, but at the speed of copying.
     #[inline]
-    pub fn fill(&mut self, rays: &RayLanes, count: usize) {
+    pub fn fill(&mut self, rays: &RayLanes, active: u16) {
         let query = &mut self.query.ray;
         [query.org_x, query.org_y, query.org_z] = rays.origin;
         [query.dir_x, query.dir_y, query.dir_z] = rays.direction;
@@ -85,7 +85,7 @@ impl RayPacket {
         self.query.hit.geomID = [MISS; LANES];
         for lane in 0..LANES {
             let size: f32 = (0..3).map(|d| rays.origin[d][lane].abs() + rays.direction[d][lane].abs()).sum();
-            self.valid.0[lane] = -i32::from(lane < count && size < LIMIT);
+            self.valid.0[lane] = -i32::from(active >> lane & 1 == 1 && size < LIMIT);
         }
     }
 

@@ -8,6 +8,7 @@
 //! No lobe is sampled and no chain followed; points and directions are Sobol points of their own.
 
 use super::matrix::{ExchangeMatrix, RowSummary};
+use super::rows::Builder;
 use crate::bsdf::MIRROR_ALPHA;
 use crate::color::{self, Rgb};
 use crate::geometry::Frame;
@@ -78,29 +79,30 @@ pub fn cast_images(
             row
         })
         .collect();
-    let mut matrix = ExchangeMatrix {
-        batches: batches as usize,
-        channels: if coloured { 3 } else { 1 },
-        start: Vec::new(),
-        columns: Vec::new(),
-        values: Vec::new(),
-        summary: Vec::new(),
-        rays_per_row: batches * per_batch,
-        rays: 0,
-    };
+    let channels = if coloured { 3 } else { 1 };
+    let mut builder = Builder::new(false);
+    let (mut blocks, mut summary, mut cast) = (Vec::new(), Vec::new(), 0);
     for row in rows {
         for batch in row.batches {
-            matrix.start.push(matrix.columns.len() as u64);
             for (j, weight) in batch {
-                matrix.columns.push(j);
-                matrix.values.extend(weight.as_vec3().to_array().iter().take(matrix.channels));
+                builder.push(j, &weight.as_vec3().to_array()[..channels]);
             }
+            builder.end_batch();
         }
-        matrix.summary.push(row.summary);
-        matrix.rays += row.rays;
+        builder.end_row(batches as usize, channels, 1.0);
+        blocks.push(builder.finish());
+        summary.push(row.summary);
+        cast += row.rays;
     }
-    matrix.start.push(matrix.columns.len() as u64);
-    Ok(matrix)
+    Ok(ExchangeMatrix {
+        batches: batches as usize,
+        channels,
+        rows_per_block: 1,
+        blocks,
+        summary,
+        rays_per_row: batches * per_batch,
+        rays: cast,
+    })
 }
 
 fn windows(scene: &Scene) -> Result<Vec<Window>> {

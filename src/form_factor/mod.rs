@@ -10,9 +10,12 @@ mod matrix;
 mod mirror;
 pub mod pairs;
 mod raycast;
+mod recast;
+mod rows;
 mod source;
 mod specular;
 mod table;
+mod tally;
 
 pub use correct::{Correction, Enforce, correct};
 pub use estimate::{MOST_RAYS, Request, by_pairs, estimate, unoccluded};
@@ -21,7 +24,11 @@ pub use found::Found;
 pub use hemicube::{DeltaFactors, HemicubeErrors, HemicubeSettings, MOST_PIXELS, hemicube, item_image};
 pub use matrix::{ExchangeMatrix, RowSummary};
 pub use mirror::cast_images;
-pub use raycast::{Casting, EmitterIrradiance, EmitterWork, cast, cast_random, cast_rows};
-pub use source::element_rays;
+pub use raycast::{
+    Caster, Casting, EmitterIrradiance, EmitterRows, EmitterWork, cast, cast_random, cast_rows,
+};
+pub use recast::{Check, Recast, Rows};
+pub use rows::Row;
+pub use source::packets_of;
 pub use specular::{Carried, ChainEnd, Chains, Link, pass_on};
 pub use table::ObjectTable;

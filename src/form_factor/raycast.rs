@@ -2,23 +2,26 @@
 //!
 //! Rays leave each element uniformly in area and cosine-weighted in direction, so the share of
 //! rays that land on element j is `F_ij` itself (Malley 1988; DESIGN section 2). The points are
-//! Owen-scrambled Sobol points in four dimensions; every row has several independent scramblings.
+//! Owen-scrambled Sobol points in four dimensions; every row has several independent scramblings. Packets hold the same
+//! ray of neighbouring elements (see [`super::source`]).
 
 use super::matrix::{ExchangeMatrix, RowSummary};
-use super::source::{Source, lane};
+use super::rows::{Block, Builder};
+use super::source::{Lanes, Source, groups, lane, share_packets};
 use super::specular::{Carried, Chains, Link, pass_on};
+use super::tally::Tally;
 use crate::color::Rgb;
-use crate::embree::RayPacket;
+use crate::embree::{LANES, RayPacket};
 use crate::emitters::{Emitters, Passage, cosine_density, mis_share};
 use crate::mesh::{Grid, Mesh, NONE, Sides};
-use crate::sampling::{MAX_POINTS, Scramble, SobolTable, seed_of};
+use crate::sampling::{MAX_POINTS, Scramble, ScrambledPoints, SobolTable, seed_of};
 use crate::scene::Scene;
 use crate::visibility::{SurfaceHit, Visibility};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-/// Elements that one task casts: small enough to share the work, large enough to keep its buffers.
-pub(super) const BLOCK: usize = 16;
+/// Elements that one task casts: small enough to share the work, large enough to hold a few groups of [`LANES`].
+const BLOCK: usize = 64;
 
 /// How to cast.
 #[derive(Clone, Copy)]
@@ -89,17 +92,60 @@ impl std::ops::AddAssign for EmitterIrradiance {
     }
 }
 
+/// Irradiance from emitters by element, over the whole element, covered parts included.
+#[derive(Debug, Clone)]
+pub struct EmitterRows {
+    batches: usize,
+    /// Mean over the randomisations, by element.
+    pub mean: Vec<EmitterIrradiance>,
+    /// The sum over all passages, by (element, randomisation) [W m^-2].
+    total: Vec<[f32; 3]>,
+}
+
+impl EmitterRows {
+    /// No light on `n` elements.
+    pub fn dark(n: usize, batches: usize) -> EmitterRows {
+        EmitterRows {
+            batches,
+            mean: vec![EmitterIrradiance::default(); n],
+            total: vec![[0.0; 3]; n * batches],
+        }
+    }
+
+    fn append(&mut self, other: &EmitterRows) {
+        self.mean.extend_from_slice(&other.mean);
+        self.total.extend_from_slice(&other.total);
+    }
+
+    /// The sum over all passages in one randomisation [W m^-2].
+    pub fn total(&self, element: usize, batch: usize) -> Rgb {
+        Rgb::from(self.total[element * self.batches + batch].map(f64::from))
+    }
+
+    /// Adds what `find` tells of each (element, randomisation), on all cores.
+    pub fn add(&mut self, find: impl Fn(u32, u32) -> EmitterIrradiance + Sync) {
+        let rows = self.mean.par_iter_mut().zip(self.total.par_chunks_exact_mut(self.batches));
+        rows.enumerate().with_min_len(16).for_each(|(element, (mean, totals))| {
+            for (batch, total) in totals.iter_mut().enumerate() {
+                add_batch(mean, total, find(element as u32, batch as u32), self.batches);
+            }
+        });
+    }
+}
+
+fn add_batch(mean: &mut EmitterIrradiance, total: &mut [f32; 3], found: EmitterIrradiance, batches: usize) {
+    *mean += found * (1.0 / batches as f64);
+    let sum = found.straight + found.image + found.chain;
+    total.iter_mut().zip(sum.to_array()).for_each(|(t, s)| *t += s as f32);
+}
+
 const EMITTER: u8 = 1;
 const SPECULAR: u8 = 2;
 const UNREACHED: u8 = 4;
 
-/// Casts the rows of every element of a mesh. Returns the matrix and, with `emitters`, the
-/// irradiance that came from them: one value for each (row, randomisation).
-pub fn cast(
-    visibility: &Visibility,
-    mesh: &Mesh,
-    casting: &Casting,
-) -> (ExchangeMatrix, Vec<EmitterIrradiance>) {
+/// Casts the rows of every element of a mesh. Returns the matrix and the irradiance that came from the casting's
+/// emitters (dark without any).
+pub fn cast(visibility: &Visibility, mesh: &Mesh, casting: &Casting) -> (ExchangeMatrix, EmitterRows) {
     cast_rows(visibility, mesh, casting, None)
 }
 
@@ -109,8 +155,8 @@ pub fn cast_rows(
     mesh: &Mesh,
     casting: &Casting,
     rows: Option<&[bool]>,
-) -> (ExchangeMatrix, Vec<EmitterIrradiance>) {
-    cast_points(visibility, mesh, casting, rows, SobolTable::new)
+) -> (ExchangeMatrix, EmitterRows) {
+    collect(Caster::new(visibility, mesh, casting), rows)
 }
 
 /// As [`cast_rows`], with independent random points in place of Sobol's: what these are compared with.
@@ -120,74 +166,30 @@ pub fn cast_random(
     casting: &Casting,
     rows: Option<&[bool]>,
 ) -> ExchangeMatrix {
-    cast_points(visibility, mesh, casting, rows, |n| SobolTable::random(n, casting.seed)).0
+    let mut caster = Caster::new(visibility, mesh, casting);
+    caster.table = SobolTable::random(caster.table.len() as u32, casting.seed);
+    collect(caster, rows).0
 }
 
-/// As [`cast_rows`], with so many points of a table for each randomisation.
-fn cast_points(
-    visibility: &Visibility,
-    mesh: &Mesh,
-    casting: &Casting,
-    rows: Option<&[bool]>,
-    points: impl Fn(u32) -> SobolTable,
-) -> (ExchangeMatrix, Vec<EmitterIrradiance>) {
-    let scene = visibility.scene();
-    let batches = casting.batches.max(casting.rays.div_ceil(MAX_POINTS)).clamp(1, casting.rays.max(1));
-    let per_batch = casting.rays.max(1).div_ceil(batches);
-    let coloured =
-        casting.specular && scene.materials.iter().any(|m| m.is_specular() && !m.has_grey_specular());
-    let shared = Shared {
-        visibility,
-        mesh,
-        casting,
-        table: points(per_batch),
-        batches,
-        channels: if coloured { 3 } else { 1 },
-        chains: Chains::new(visibility, casting.emitters.map(|e| e.0)),
-        targets: targets(scene, mesh, casting),
-    };
-    let n = mesh.len();
-    let blocks: Vec<Block> = (0..n.div_ceil(BLOCK))
-        .into_par_iter()
-        .map_init(
-            || Scratch::new(n, shared.channels),
-            |scratch, b| {
-                let range = b * BLOCK..((b + 1) * BLOCK).min(n);
-                let count = range.clone().filter(|e| rows.is_none_or(|r| r[*e])).count() as u64;
-                let block = shared.block(scratch, range, rows);
-                (casting.progress)(count);
-                block
-            },
-        )
-        .collect();
-    join(blocks, &shared, n)
-}
-
-/// Puts the blocks in order, freeing each as it goes.
-fn join(blocks: Vec<Block>, shared: &Shared, n: usize) -> (ExchangeMatrix, Vec<EmitterIrradiance>) {
-    let stored: usize = blocks.iter().map(|b| b.columns.len()).sum();
+fn collect(caster: Caster, rows: Option<&[bool]>) -> (ExchangeMatrix, EmitterRows) {
+    let cast = caster.run(rows, |_, cast| cast);
     let mut matrix = ExchangeMatrix {
-        batches: shared.batches as usize,
-        channels: shared.channels,
-        start: Vec::with_capacity(n * shared.batches as usize + 1),
-        columns: Vec::with_capacity(stored),
-        values: Vec::with_capacity(stored * shared.channels),
-        summary: Vec::with_capacity(n),
-        rays_per_row: shared.rays_per_row(),
+        batches: caster.batches as usize,
+        channels: caster.channels,
+        rows_per_block: BLOCK,
+        blocks: Vec::with_capacity(cast.len()),
+        summary: Vec::with_capacity(caster.mesh.len()),
+        rays_per_row: caster.rays_per_row(),
         rays: 0,
     };
-    let mut emitted = Vec::new();
-    for block in blocks {
-        let base = matrix.columns.len() as u64;
-        matrix.start.extend(block.start.iter().map(|s| base + u64::from(*s)));
-        matrix.columns.extend_from_slice(&block.columns);
-        matrix.values.extend_from_slice(&block.values);
-        matrix.summary.extend_from_slice(&block.summary);
-        matrix.rays += block.rays;
-        emitted.extend_from_slice(&block.emitted);
+    let mut light = EmitterRows::dark(0, matrix.batches);
+    for part in cast {
+        matrix.blocks.push(part.entries);
+        matrix.summary.extend_from_slice(&part.summary);
+        matrix.rays += part.rays;
+        light.append(&part.light);
     }
-    matrix.start.push(matrix.columns.len() as u64);
-    (matrix, emitted)
+    (matrix, light)
 }
 
 /// All that a hit needs to know of its face, side by side in memory.
@@ -218,146 +220,243 @@ fn targets(scene: &Scene, mesh: &Mesh, casting: &Casting) -> Vec<Target> {
     (0..scene.faces.len() as u32).map(target).collect()
 }
 
-struct Shared<'a, 's> {
+/// Casts rows, as often as asked, the same to the bit each time.
+pub struct Caster<'a, 's> {
     visibility: &'a Visibility<'s>,
     mesh: &'a Mesh,
-    casting: &'a Casting<'a>,
+    casting: Casting<'a>,
     table: SobolTable,
     batches: u32,
     channels: usize,
     chains: Chains<'a, 's>,
     targets: Vec<Target>,
+    normals: Vec<Vec3>,
 }
 
-#[derive(Default)]
-struct Block {
-    start: Vec<u32>,
-    columns: Vec<u32>,
-    values: Vec<f32>,
+/// The rows of one task.
+struct Cast {
+    entries: Block,
     summary: Vec<RowSummary>,
-    emitted: Vec<EmitterIrradiance>,
+    light: EmitterRows,
     rays: u64,
 }
 
-impl Block {
-    /// A row that was not asked for.
-    fn skip(&mut self, batches: usize, emitters: bool) {
-        self.start.extend(std::iter::repeat_n(self.columns.len() as u32, batches));
-        self.summary.push(RowSummary::default());
-        self.emitted
-            .extend(std::iter::repeat_n(EmitterIrradiance::default(), if emitters { batches } else { 0 }));
-    }
+/// What became of the rays of one element.
+#[derive(Clone, Default)]
+struct Fate {
+    summary: RowSummary,
+    covered: u32,
+    escaped: u32,
+    absorbed: u32,
 }
 
-/// Dense accumulators of one thread; only the touched columns are visited and cleared.
+/// Buffers of one thread.
 struct Scratch {
-    weight: Vec<f32>,
-    touched: Vec<u32>,
     packet: RayPacket,
+    points: ScrambledPoints,
+    /// Where each ray of a group landed, by (randomisation, element, ray); [`NONE`] where no element is.
+    landed: Vec<u32>,
+    /// What chains brought: (element of the group, randomisation), column, weight.
+    chained: Vec<((u32, u32), u32, [f32; 3])>,
+    emitted: Vec<EmitterIrradiance>,
+    tally: Tally,
+    builder: Builder,
+    fates: Vec<Fate>,
+    rays: u64,
 }
 
-impl Scratch {
-    fn new(n: usize, channels: usize) -> Scratch {
-        Scratch { weight: vec![0.0; n * channels], touched: Vec::new(), packet: RayPacket::new() }
+impl<'a, 's> Caster<'a, 's> {
+    /// Prepares to cast the rows of a mesh.
+    pub fn new(visibility: &'a Visibility<'s>, mesh: &'a Mesh, casting: &Casting<'a>) -> Caster<'a, 's> {
+        let scene = visibility.scene();
+        let batches = casting.batches.max(casting.rays.div_ceil(MAX_POINTS)).clamp(1, casting.rays.max(1));
+        let per_batch = casting.rays.max(1).div_ceil(batches);
+        let coloured =
+            casting.specular && scene.materials.iter().any(|m| m.is_specular() && !m.has_grey_specular());
+        Caster {
+            visibility,
+            mesh,
+            casting: *casting,
+            table: SobolTable::new(per_batch),
+            batches,
+            channels: if coloured { 3 } else { 1 },
+            chains: Chains::new(visibility, casting.emitters.map(|e| e.0)),
+            targets: targets(scene, mesh, casting),
+            normals: scene.faces.iter().map(|f| f.normal.as_vec3()).collect(),
+        }
     }
-}
 
-impl Shared<'_, '_> {
-    fn rays_per_row(&self) -> u32 {
+    /// Rays of each row.
+    pub(super) fn rays_per_row(&self) -> u32 {
         self.batches * self.table.len() as u32
     }
 
-    fn block(&self, scratch: &mut Scratch, elements: std::ops::Range<usize>, rows: Option<&[bool]>) -> Block {
-        let mut block = Block::default();
-        for element in elements {
-            if rows.is_none_or(|r| r[element]) {
-                self.row(scratch, element as u32, &mut block);
-            } else {
-                block.skip(self.batches as usize, self.casting.emitters.is_some());
-            }
-        }
-        block
+    /// Independent randomisations of each row.
+    pub(super) fn batches(&self) -> usize {
+        self.batches as usize
     }
 
-    fn row(&self, scratch: &mut Scratch, element: u32, block: &mut Block) {
-        let source = Source::new(self.visibility, self.mesh, element);
-        let first_value = block.values.len();
-        let mut row = RowSummary::default();
-        let mut covered = 0u64;
-        let total = u64::from(self.batches) * self.table.len() as u64;
-        for batch in 0..self.batches {
-            block.start.push(block.columns.len() as u32);
-            let mut emitted = EmitterIrradiance::default();
-            self.batch(
-                scratch,
-                &source,
-                (element, batch),
-                &mut row,
-                &mut covered,
-                &mut emitted,
-                &mut block.rays,
-            );
-            for &j in &scratch.touched {
-                block.columns.push(j);
-                let k = j as usize * self.channels;
-                block.values.extend_from_slice(&scratch.weight[k..k + self.channels]);
-                scratch.weight[k..k + self.channels].fill(0.0);
-            }
-            scratch.touched.clear();
-            if self.casting.emitters.is_some() {
-                let scale = 1.0 / self.table.len() as f64;
-                block.emitted.push(emitted * scale);
-            }
-        }
-        let open = total - covered;
-        if open > 0 {
-            let scale = 1.0 / open as f64;
-            for v in &mut block.values[first_value..] {
-                *v *= scale as f32;
-            }
-            row.escaped *= scale;
-            row.absorbed *= scale;
-            row.dropped *= scale;
-            row.index2 = 1.0 + (row.index2 - 1.0) * scale;
-            row.exposed = open as f64 / total as f64;
-        }
-        block.summary.push(row);
+    /// Values of an entry.
+    pub(super) fn channels(&self) -> usize {
+        self.channels
     }
 
-    /// Casts one randomisation; accumulates unscaled weights.
-    #[allow(clippy::too_many_arguments)] // the parts of one row, which live in different places
-    fn batch(
+    /// From now on nothing listens, and emitters are met like any other surface.
+    pub(super) fn repeat_quietly(&mut self) {
+        (self.casting.progress, self.casting.emitters) = (&|_| (), None);
+        for target in &mut self.targets {
+            target.kind.iter_mut().for_each(|k| *k &= !EMITTER);
+        }
+    }
+
+    /// Casts every row and keeps no factors: summaries, irradiance from emitters, rays cast.
+    pub(super) fn survey(&self) -> (Vec<RowSummary>, EmitterRows, u64) {
+        let parts = self.run(None, |_, cast| (cast.summary, cast.light, cast.rays));
+        let mut summary = Vec::with_capacity(self.mesh.len());
+        let (mut light, mut rays) = (EmitterRows::dark(0, self.batches()), 0);
+        for part in parts {
+            summary.extend(part.0);
+            light.append(&part.1);
+            rays += part.2;
+        }
+        (summary, light, rays)
+    }
+
+    /// Casts every row and shows it to `f`, by blocks: one value a block, in order, and the rays cast.
+    pub(super) fn visit<T: Send>(
         &self,
-        scratch: &mut Scratch,
-        source: &Source,
-        (element, batch): (u32, u32),
-        row: &mut RowSummary,
-        covered: &mut u64,
-        emitted: &mut EmitterIrradiance,
-        rays: &mut u64,
-    ) {
-        let seed = seed_of(&[self.casting.seed, element, batch]);
-        let scramble = Scramble::new(seed);
-        let n = self.table.len();
-        *rays += n as u64;
-        let mut escaped = 0u32;
-        for base in (0..n).step_by(16) {
-            let count = (n - base).min(16);
-            let lanes = source.rays(&self.table.block(base / 16, &scramble));
-            scratch.packet.fill(&lanes, count);
-            self.visibility.closest16(&mut scratch.packet, false);
-            for k in 0..count {
-                let (origin, direction) = lane(&lanes, k);
-                let Some(met) = scratch.packet.hit(k) else {
-                    escaped += 1;
+        f: impl Fn(std::ops::Range<usize>, &Block) -> T + Sync,
+    ) -> (Vec<T>, u64) {
+        let parts =
+            self.run(None, |first, cast| (f(first..first + cast.summary.len(), &cast.entries), cast.rays));
+        let rays = parts.iter().map(|p| p.1).sum();
+        (parts.into_iter().map(|p| p.0).collect(), rays)
+    }
+
+    /// Casts blocks of rows on all cores and hands each to `each` with its first row.
+    fn run<T: Send>(&self, rows: Option<&[bool]>, each: impl Fn(usize, Cast) -> T + Sync) -> Vec<T> {
+        let n = self.mesh.len();
+        (0..n.div_ceil(BLOCK))
+            .into_par_iter()
+            .map_init(
+                || self.scratch(),
+                |scratch, b| {
+                    let range = b * BLOCK..((b + 1) * BLOCK).min(n);
+                    let count = range.clone().filter(|e| rows.is_none_or(|r| r[*e])).count() as u64;
+                    let cast = self.block(scratch, range.start as u32..range.end as u32, rows);
+                    (self.casting.progress)(count);
+                    each(range.start, cast)
+                },
+            )
+            .collect()
+    }
+
+    fn scratch(&self) -> Scratch {
+        Scratch {
+            packet: RayPacket::new(),
+            points: ScrambledPoints::default(),
+            landed: Vec::new(),
+            chained: Vec::new(),
+            emitted: Vec::new(),
+            tally: Tally::new(self.channels),
+            // Chains have weights; rays alone are counted.
+            builder: Builder::new(!self.casting.specular),
+            fates: Vec::new(),
+            rays: 0,
+        }
+    }
+
+    fn block(&self, scratch: &mut Scratch, elements: std::ops::Range<u32>, rows: Option<&[bool]>) -> Cast {
+        let (n, batches) = (elements.len(), self.batches as usize);
+        let light = if self.casting.emitters.is_some() { n } else { 0 };
+        let mut cast = Cast {
+            entries: scratch.builder.finish(),
+            summary: Vec::with_capacity(n),
+            light: EmitterRows::dark(light, batches),
+            rays: 0,
+        };
+        scratch.rays = 0;
+        for group in groups(self.mesh, &self.normals, elements.clone()) {
+            let wanted = |e: &u32| rows.is_none_or(|r| r[*e as usize]);
+            let chosen: Vec<u32> = group.clone().filter(wanted).collect();
+            self.group(scratch, group.start, &chosen);
+            let mut found = 0;
+            for element in group {
+                if chosen.get(found) != Some(&element) {
+                    (0..batches).for_each(|_| scratch.builder.end_batch());
+                    scratch.builder.end_row(batches, self.channels, 1.0);
+                    cast.summary.push(RowSummary::default());
+                    continue;
+                }
+                cast.summary.push(self.row(scratch, found, chosen.len()));
+                if light > 0 {
+                    let at = (element - elements.start) as usize;
+                    for b in 0..batches {
+                        let emitted = scratch.emitted[found * batches + b] * (1.0 / self.table.len() as f64);
+                        let EmitterRows { mean, total, .. } = &mut cast.light;
+                        add_batch(&mut mean[at], &mut total[at * batches + b], emitted, batches);
+                    }
+                }
+                found += 1;
+            }
+        }
+        cast.entries = scratch.builder.finish();
+        cast.rays = scratch.rays;
+        cast
+    }
+
+    /// Casts the rays of elements of a group, all randomisations, into the buffers.
+    fn group(&self, scratch: &mut Scratch, first: u32, elements: &[u32]) {
+        let (n, m, batches) = (self.table.len(), elements.len(), self.batches as usize);
+        scratch.landed.clear();
+        scratch.landed.resize(n * m * batches, NONE);
+        scratch.chained.clear();
+        scratch.emitted.clear();
+        scratch.emitted.resize(m * batches, EmitterIrradiance::default());
+        scratch.fates.clear();
+        scratch.fates.resize(m, Fate::default());
+        let together = if share_packets(&self.table) { m } else { 1 };
+        let mut parts: Vec<Lanes> = elements
+            .chunks(together.max(1))
+            .map(|part| Lanes::new(self.visibility, self.mesh, part.iter().copied()))
+            .collect();
+        for batch in 0..self.batches {
+            let scramble = Scramble::new(seed_of(&[self.casting.seed, first, batch]));
+            self.table.scramble(&scramble, &mut scratch.points);
+            for (k, lanes) in parts.iter_mut().enumerate() {
+                lanes.shift(self.casting.seed, batch, self.table.shared_bits());
+                self.packets(scratch, lanes, k * together, batch);
+            }
+        }
+        scratch.chained.sort_by_key(|c| c.0);
+    }
+
+    /// Casts one randomisation of a part of a group, which begins at element `offset` of it.
+    fn packets(&self, scratch: &mut Scratch, lanes: &Lanes, offset: usize, batch: u32) {
+        let (n, m) = (self.table.len(), scratch.fates.len());
+        let landed = (batch as usize * m + offset) * n;
+        scratch.rays += (n * lanes.sources.len()) as u64;
+        let step = lanes.points_a_packet();
+        for base in (0..n).step_by(step) {
+            let rays = lanes.rays(&scratch.points, base);
+            let active = lanes.active(n - base);
+            scratch.packet.fill(&rays, active);
+            self.visibility.closest16(&mut scratch.packet, true);
+            for l in (0..LANES).filter(|l| active >> l & 1 == 1) {
+                let (k, point) = lanes.place(l);
+                let source = &lanes.sources[k];
+                let fate = &mut scratch.fates[offset + k];
+                let Some(met) = scratch.packet.hit(l) else {
+                    fate.escaped += 1;
                     continue;
                 };
+                let (origin, direction) = lane(&rays, l);
                 let mut hit = SurfaceHit { face: met.face, u: met.u, v: met.v, front: true };
                 if met.face == source.face {
                     match self.visibility.closest(origin, direction, source.face) {
                         Some(next) => hit = next,
                         None => {
-                            escaped += 1;
+                            fate.escaped += 1;
                             continue;
                         }
                     }
@@ -367,42 +466,77 @@ impl Shared<'_, '_> {
                 let side = usize::from(!hit.front);
                 let kind = target.kind[side];
                 if kind & UNREACHED != 0 {
-                    *covered += 1;
+                    fate.covered += 1;
                     continue;
                 }
                 if target.first[side] != NONE {
-                    self.count(scratch, target.first[side] + target.grid.cell(hit.u, hit.v));
+                    scratch.landed[landed + k * n + base + point] =
+                        target.first[side] + target.grid.cell(hit.u, hit.v);
                 } else if kind & SPECULAR == 0 {
-                    row.absorbed += Rgb::ONE;
+                    fate.absorbed += 1;
                 }
-                if kind & EMITTER != 0 {
-                    self.emitter(source, origin, direction, &hit, emitted);
-                }
-                if kind & SPECULAR != 0 {
-                    self.chain(
-                        scratch,
-                        source,
-                        (origin, direction, hit),
-                        ((base + k) as u32, seed),
-                        row,
-                        emitted,
-                        rays,
-                    );
+                if kind & (EMITTER | SPECULAR) != 0 {
+                    let at = (offset + k, batch, (base + point) as u32);
+                    self.beyond(scratch, source, at, (origin, direction, hit), kind);
                 }
             }
         }
-        row.escaped += Rgb::splat(f64::from(escaped));
     }
 
-    #[inline]
-    fn count(&self, scratch: &mut Scratch, j: u32) {
-        let k = j as usize * self.channels;
-        if scratch.weight[k] == 0.0 {
-            scratch.touched.push(j);
+    /// A ray that met an emitter or a specular surface; `at` is the place in the group, the randomisation and the point.
+    #[cold]
+    fn beyond(
+        &self,
+        scratch: &mut Scratch,
+        source: &Source,
+        at: (usize, u32, u32),
+        (origin, direction, hit): (Vec3, Vec3, SurfaceHit),
+        kind: u8,
+    ) {
+        let (k, batch, point) = at;
+        let mut emitted = EmitterIrradiance::default();
+        if kind & EMITTER != 0 {
+            self.emitter(source, origin, direction, &hit, &mut emitted);
         }
-        for w in &mut scratch.weight[k..k + self.channels] {
-            *w += 1.0;
+        if kind & SPECULAR != 0 {
+            let seed = seed_of(&[self.casting.seed, source.element, batch]);
+            let ray = (origin, direction, hit);
+            self.chain(scratch, source, (k, batch), ray, (point, seed), &mut emitted);
         }
+        scratch.emitted[k * self.batches as usize + batch as usize] += emitted;
+    }
+
+    /// Adds up the row of the `k`-th of `m` elements of a group.
+    fn row(&self, scratch: &mut Scratch, k: usize, m: usize) -> RowSummary {
+        let (n, ones) = (self.table.len(), [1.0f32; 3]);
+        for batch in 0..self.batches {
+            let first = (batch as usize * m + k) * n;
+            for &column in scratch.landed[first..first + n].iter().filter(|c| **c != NONE) {
+                scratch.tally.add(column, &ones[..self.channels]);
+            }
+            let place = (k as u32, batch);
+            let first = scratch.chained.partition_point(|c| c.0 < place);
+            for (_, column, weight) in scratch.chained[first..].iter().take_while(|c| c.0 == place) {
+                scratch.tally.add(*column, &weight[..self.channels]);
+            }
+            let builder = &mut scratch.builder;
+            scratch.tally.drain(|column, weight| builder.push(column, weight));
+            builder.end_batch();
+        }
+        let fate = &scratch.fates[k];
+        let total = u64::from(self.rays_per_row());
+        let open = total - u64::from(fate.covered);
+        let scale = if open > 0 { 1.0 / open as f64 } else { 0.0 };
+        scratch.builder.end_row(self.batches as usize, self.channels, scale);
+        let mut row = fate.summary;
+        row.escaped += Rgb::splat(f64::from(fate.escaped));
+        row.absorbed += Rgb::splat(f64::from(fate.absorbed));
+        row.escaped *= scale;
+        row.absorbed *= scale;
+        row.dropped *= scale;
+        row.index2 = 1.0 + (row.index2 - 1.0) * scale;
+        row.exposed = open as f64 / total as f64;
+        row
     }
 
     /// A hemisphere ray that met an emitter in a straight line.
@@ -440,34 +574,28 @@ impl Shared<'_, '_> {
         emitted.add(link.passage, std::f64::consts::PI * radiance * link.weight * share);
     }
 
-    #[allow(clippy::too_many_arguments)] // as `batch`
     fn chain(
         &self,
         scratch: &mut Scratch,
         source: &Source,
+        at: (usize, u32),
         (origin, direction, hit): (Vec3, Vec3, SurfaceHit),
         numbers: (u32, u32),
-        row: &mut RowSummary,
         emitted: &mut EmitterIrradiance,
-        rays: &mut u64,
     ) {
         let scene = self.visibility.scene();
         let first = direction.as_dvec3();
         let met = scene.material(&scene.faces[hit.face as usize]);
         if met.bends() && !hit.front {
-            row.index2 += met.ior * met.ior - 1.0;
+            scratch.fates[at.0].summary.index2 += met.ior * met.ior - 1.0;
         }
         let mut absorbed = Rgb::ZERO;
+        let place = (at.0 as u32, at.1);
+        let chained = &mut scratch.chained;
         let end = self.chains.follow(Carried::Radiance, (origin, direction, hit), numbers, |link| {
             let j = self.mesh.element(link.hit.face, link.hit.front, link.hit.u, link.hit.v);
             if j != NONE {
-                let k = j as usize * self.channels;
-                if scratch.weight[k] == 0.0 {
-                    scratch.touched.push(j);
-                }
-                for (w, v) in scratch.weight[k..k + self.channels].iter_mut().zip(link.weight.to_array()) {
-                    *w += v as f32;
-                }
+                chained.push((place, j, link.weight.as_vec3().to_array()));
                 let material = scene.material(&scene.faces[link.hit.face as usize]);
                 if !material.is_diffuse() && !material.is_specular() {
                     // A black emitter has elements: what it absorbs is counted there.
@@ -482,9 +610,10 @@ impl Shared<'_, '_> {
             }
             self.emission(source, first, link, emitted);
         });
-        row.escaped += end.escaped;
-        row.absorbed += end.absorbed + absorbed;
-        row.dropped += end.dropped;
-        *rays += u64::from(end.rays);
+        let summary = &mut scratch.fates[at.0].summary;
+        summary.escaped += end.escaped;
+        summary.absorbed += end.absorbed + absorbed;
+        summary.dropped += end.dropped;
+        scratch.rays += u64::from(end.rays);
     }
 }

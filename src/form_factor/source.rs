@@ -1,78 +1,196 @@
-//! The rays of an element, 16 at a time.
+//! The rays of a few neighbouring elements, 16 at a time, ordered so that a packet shares a narrow cone.
+//!
+//! Elements that follow each other and face the same way form a **group** of up to 16. Each group and randomisation has
+//! one Owen scrambling of the points; each element shifts them by its own random bits (exclusive or): the origins by all
+//! bits, the directions only below the leading [`SobolTable::shared_bits`]. So ray k of every element of the group lies
+//! in the same cell of directions, and ray k of all of them makes a packet.
+//!
+//! An Owen scrambling followed by such a shift is again one: each element has the points that it would have alone. And
+//! its shift is uniform within the cells, which hold equally many points each: given the scrambling, its expectation
+//! is the mean over all origins and directions, whatever the scrambling. So the estimates of two elements of a group are
+//! uncorrelated, though they share it.
 
-use crate::embree::RayLanes;
+use crate::embree::{LANES, RayLanes};
 use crate::geometry::Frame;
 use crate::mesh::Mesh;
-use crate::sampling::{Scramble, SobolTable, seed_of};
+use crate::sampling::{Scramble, ScrambledPoints, SobolTable, seed_of};
 use crate::visibility::Visibility;
 use glam::{DVec3, Vec3};
+use std::ops::Range;
 
-/// One element's rays: origins and the frame of their directions, in single precision.
+/// Cosine between the normals of a group's first element and of any other, at least.
+const ALIKE: f32 = 0.95;
+
+/// What an element's rays have in common.
+#[derive(Clone, Copy)]
 pub(super) struct Source {
-    origin: Vec3,
-    a: Vec3,
-    b: Vec3,
-    x: Vec3,
-    y: Vec3,
-    z: Vec3,
-    triangle: bool,
+    pub(super) element: u32,
     pub(super) face: u32,
     pub(super) normal: DVec3,
     pub(super) area: f64,
 }
 
-impl Source {
-    pub(super) fn new(visibility: &Visibility, mesh: &Mesh, element: u32) -> Source {
+/// Elements of one group, split from a block's elements; always the same whichever of them are cast.
+pub(super) fn groups(mesh: &Mesh, normals: &[Vec3], block: Range<u32>) -> impl Iterator<Item = Range<u32>> {
+    let normal = move |e: u32| {
+        let (face, front, _) = mesh.place(e);
+        normals[face as usize] * if front { 1.0 } else { -1.0 }
+    };
+    let mut next = block.start;
+    std::iter::from_fn(move || {
+        let first = next;
+        let facing = (first < block.end).then(|| normal(first))?;
+        next += 1;
+        while next < block.end && next - first < LANES as u32 && normal(next).dot(facing) >= ALIKE {
+            next += 1;
+        }
+        Some(first..next)
+    })
+}
+
+/// The elements of a group that are cast, laid out over the lanes of a packet: with m elements (a power of two, the rest
+/// idle), lane l holds element l mod m and the (l / m)-th of the points that are due.
+pub(super) struct Lanes {
+    pub(super) sources: Vec<Source>,
+    /// Lanes of one point.
+    width: usize,
+    origin: [[f32; LANES]; 3],
+    a: [[f32; LANES]; 3],
+    b: [[f32; LANES]; 3],
+    x: [[f32; LANES]; 3],
+    y: [[f32; LANES]; 3],
+    z: [[f32; LANES]; 3],
+    triangle: [bool; LANES],
+    shift: [[u32; LANES]; 4],
+}
+
+impl Lanes {
+    pub(super) fn new(visibility: &Visibility, mesh: &Mesh, elements: impl Iterator<Item = u32>) -> Lanes {
         let scene = visibility.scene();
-        let (face, _, cell) = mesh.place(element);
-        let (p0, e1, e2) = scene.face_frame(&scene.faces[face as usize]);
-        let grid = mesh.grid(face);
-        let (o, a, b) = visibility.inside_cell(face, grid.cell_frame(cell));
-        let normal = mesh.normal(scene, element);
-        let frame = Frame::new(normal);
-        let edge = |d: glam::DVec2| (d.x * e1 + d.y * e2).as_vec3();
-        Source {
-            origin: visibility.leave(face, p0 + o.x * e1 + o.y * e2, normal),
-            a: edge(a),
-            b: edge(b),
-            x: frame.x.as_vec3(),
-            y: frame.y.as_vec3(),
-            z: frame.z.as_vec3(),
-            triangle: grid.triangle,
-            face,
-            normal,
-            area: mesh.area(element),
+        let none = [[0.0; LANES]; 3];
+        let mut lanes = Lanes {
+            sources: Vec::with_capacity(LANES),
+            width: 1,
+            origin: none,
+            a: none,
+            b: none,
+            x: none,
+            y: none,
+            z: none,
+            triangle: [false; LANES],
+            shift: [[0; LANES]; 4],
+        };
+        for (k, element) in elements.enumerate() {
+            let (face, _, cell) = mesh.place(element);
+            let (p0, e1, e2) = scene.face_frame(&scene.faces[face as usize]);
+            let grid = mesh.grid(face);
+            let (o, a, b) = visibility.inside_cell(face, grid.cell_frame(cell));
+            let normal = mesh.normal(scene, element);
+            let frame = Frame::new(normal);
+            let edge = |d: glam::DVec2| (d.x * e1 + d.y * e2).as_vec3();
+            let origin = visibility.leave(face, p0 + o.x * e1 + o.y * e2, normal);
+            for c in 0..3 {
+                lanes.origin[c][k] = origin[c];
+                lanes.a[c][k] = edge(a)[c];
+                lanes.b[c][k] = edge(b)[c];
+                lanes.x[c][k] = frame.x.as_vec3()[c];
+                lanes.y[c][k] = frame.y.as_vec3()[c];
+                lanes.z[c][k] = frame.z.as_vec3()[c];
+            }
+            lanes.triangle[k] = grid.triangle;
+            lanes.sources.push(Source { element, face, normal, area: mesh.area(element) });
+        }
+        lanes.width = lanes.sources.len().max(1).next_power_of_two();
+        lanes
+    }
+
+    /// Copies what the first lanes hold to the others.
+    fn repeat(&mut self) {
+        let width = self.width;
+        for l in width..LANES {
+            for v in [&mut self.origin, &mut self.a, &mut self.b, &mut self.x, &mut self.y, &mut self.z] {
+                v.iter_mut().for_each(|c| c[l] = c[l % width]);
+            }
+            self.triangle[l] = self.triangle[l % width];
+            self.shift.iter_mut().for_each(|c| c[l] = c[l % width]);
         }
     }
 
-    /// The rays of 16 points of the unit hypercube: origin from the first two, direction from the others.
-    #[inline]
-    pub(super) fn rays(&self, p: &[[f32; 16]; 4]) -> RayLanes {
-        let mut rays = RayLanes { origin: [[0.0; 16]; 3], direction: [[0.0; 16]; 3] };
-        let (mut s, mut t) = (p[0], p[1]);
-        if self.triangle {
-            for k in 0..16 {
-                // [`crate::sampling::triangle`] without a branch.
-                let (u, v) = (p[0][k], p[1][k]);
-                let half = 0.5 * u.min(v);
-                (s[k], t[k]) = if v > u { (half, v - half) } else { (u - half, half) };
+    /// The shifts of one randomisation; directions keep their leading `shared` bits.
+    pub(super) fn shift(&mut self, seed: u32, batch: u32, shared: u32) {
+        for (k, s) in self.sources.iter().enumerate() {
+            for (d, lanes) in self.shift.iter_mut().enumerate() {
+                let bits = seed_of(&[seed, s.element, batch, d as u32]);
+                lanes[k] = if d < 2 { bits } else { bits >> shared };
             }
         }
-        let (mut dx, mut dy, mut dz) = ([0.0; 16], [0.0; 16], [0.0; 16]);
-        for k in 0..16 {
-            (dx[k], dy[k]) = disc(p[2][k], p[3][k]);
-            dz[k] = (1.0 - dx[k] * dx[k] - dy[k] * dy[k]).max(0.0).sqrt();
+        self.repeat();
+    }
+
+    /// Points that one packet takes.
+    pub(super) fn points_a_packet(&self) -> usize {
+        LANES / self.width
+    }
+
+    /// Index in `sources` of a lane's element, and which of the packet's points it takes.
+    #[inline]
+    pub(super) fn place(&self, lane: usize) -> (usize, usize) {
+        (lane & (self.width - 1), lane / self.width)
+    }
+
+    /// Bit l: lane l holds a ray, where `points` points are left.
+    pub(super) fn active(&self, points: usize) -> u16 {
+        (0..LANES).fold(0, |bits, lane| {
+            let (source, point) = self.place(lane);
+            bits | u16::from(source < self.sources.len() && point < points) << lane
+        })
+    }
+
+    /// The rays of the points from `first` on.
+    #[inline]
+    pub(super) fn rays(&self, points: &ScrambledPoints, first: usize) -> RayLanes {
+        let mut p = [[0.0f32; LANES]; 4];
+        for (d, (lanes, shift)) in p.iter_mut().zip(&self.shift).enumerate() {
+            let all = points.coordinate(d);
+            if self.width == LANES {
+                let x = all[first];
+                lanes.iter_mut().zip(shift).for_each(|(lane, s)| *lane = unit(x ^ s));
+            } else {
+                for (l, (lane, s)) in lanes.iter_mut().zip(shift).enumerate() {
+                    *lane = unit(all[(first + l / self.width).min(all.len() - 1)] ^ s);
+                }
+            }
+        }
+        let mut rays = RayLanes { origin: [[0.0; LANES]; 3], direction: [[0.0; LANES]; 3] };
+        let (mut s, mut t) = (p[0], p[1]);
+        if self.triangle.contains(&true) {
+            for l in 0..LANES {
+                // [`crate::sampling::triangle`] without a branch.
+                let (u, v) = (p[0][l], p[1][l]);
+                let half = 0.5 * u.min(v);
+                let folded = if v > u { (half, v - half) } else { (u - half, half) };
+                (s[l], t[l]) = if self.triangle[l] { folded } else { (u, v) };
+            }
+        }
+        let (mut dx, mut dy, mut dz) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+        for l in 0..LANES {
+            (dx[l], dy[l]) = disc(p[2][l], p[3][l]);
+            dz[l] = (1.0 - dx[l] * dx[l] - dy[l] * dy[l]).max(0.0).sqrt();
         }
         for c in 0..3 {
-            let (o, a, b) = (self.origin[c], self.a[c], self.b[c]);
-            let (x, y, z) = (self.x[c], self.y[c], self.z[c]);
-            for k in 0..16 {
-                rays.origin[c][k] = o + s[k] * a + t[k] * b;
-                rays.direction[c][k] = dx[k] * x + dy[k] * y + dz[k] * z;
+            for l in 0..LANES {
+                rays.origin[c][l] = self.origin[c][l] + s[l] * self.a[c][l] + t[l] * self.b[c][l];
+                rays.direction[c][l] = dx[l] * self.x[c][l] + dy[l] * self.y[c][l] + dz[l] * self.z[c][l];
             }
         }
         rays
     }
+}
+
+/// The upper bits of an integer as a number in [0, 1).
+#[inline]
+fn unit(x: u32) -> f32 {
+    f32::from_bits(0x3f80_0000 | x >> 9) - 1.0
 }
 
 /// Lane `k` of 16 rays.
@@ -97,18 +215,35 @@ fn disc(u: f32, v: f32) -> (f32, f32) {
     if swap { (r * sin, r * cos) } else { (r * cos, r * sin) }
 }
 
-/// The rays that [`super::cast`] casts from an element in the first randomisation of its row, 16 at a time in the
-/// same order: for measurements of single parts of that work.
-pub fn element_rays(
+/// Whether elements of a group share packets: their common cell of directions is narrower than that of 16 rays of one.
+pub(super) fn share_packets(table: &SobolTable) -> bool {
+    (LANES << (2 * table.shared_bits())) > table.len()
+}
+
+/// The packets that [`super::cast`] casts from a run of elements in the first randomisation of their rows, in the same
+/// order, those left out that are not full: for measurements of single parts of that work.
+pub fn packets_of(
     visibility: &Visibility,
     mesh: &Mesh,
-    element: u32,
+    elements: Range<u32>,
     table: &SobolTable,
     seed: u32,
 ) -> Vec<RayLanes> {
-    let source = Source::new(visibility, mesh, element);
-    let scramble = Scramble::new(seed_of(&[seed, element, 0]));
-    (0..table.len().div_ceil(16)).map(|k| source.rays(&table.block(k, &scramble))).collect()
+    let normals: Vec<Vec3> = visibility.scene().faces.iter().map(|f| f.normal.as_vec3()).collect();
+    let (mut packets, mut points) = (Vec::new(), ScrambledPoints::default());
+    for group in groups(mesh, &normals, elements) {
+        table.scramble(&Scramble::new(seed_of(&[seed, group.start, 0])), &mut points);
+        let apart = if share_packets(table) { 1 } else { group.len() };
+        for part in 0..apart {
+            let which = group.clone().filter(|e| apart == 1 || (e - group.start) as usize == part);
+            let mut lanes = Lanes::new(visibility, mesh, which);
+            lanes.shift(seed, 0, table.shared_bits());
+            let step = lanes.points_a_packet();
+            let full = |first: &usize| lanes.active(table.len() - first) == u16::MAX;
+            packets.extend((0..table.len()).step_by(step).filter(full).map(|k| lanes.rays(&points, k)));
+        }
+    }
+    packets
 }
 
 #[cfg(test)]

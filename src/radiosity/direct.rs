@@ -2,15 +2,14 @@
 
 use crate::embree::ShadowPacket;
 use crate::emitters::{Emitters, Passage, connect, cosine_density, mis_share};
-use crate::form_factor::EmitterIrradiance;
+use crate::form_factor::{EmitterIrradiance, EmitterRows};
 use crate::mesh::Mesh;
 use crate::sampling::{seed_of, sobol};
 use crate::visibility::Visibility;
-use rayon::prelude::*;
 
 /// Samples the emitters from every element: `per_batch` pairs of points for each of `batches`
-/// independent randomisations. Returns irradiance by (element, randomisation) [W m^-2], to be added to
-/// what `rays` hemisphere rays an element found (power heuristic).
+/// independent randomisations. Adds to `light` what these find beside the `rays` hemisphere rays of an
+/// element (power heuristic).
 pub fn sample_emitters(
     visibility: &Visibility,
     mesh: &Mesh,
@@ -18,15 +17,10 @@ pub fn sample_emitters(
     (batches, per_batch): (u32, u32),
     rays: u32,
     seed: u32,
-) -> Vec<EmitterIrradiance> {
-    (0..mesh.len() as u32)
-        .into_par_iter()
-        .with_min_len(16)
-        .flat_map_iter(|element| {
-            let sampler = Sampler { visibility, mesh, emitters, rays, samples: batches * per_batch, seed };
-            (0..batches).map(move |batch| sampler.batch(element, batch, per_batch))
-        })
-        .collect()
+    light: &mut EmitterRows,
+) {
+    let sampler = Sampler { visibility, mesh, emitters, rays, samples: batches * per_batch, seed };
+    light.add(|element, batch| sampler.batch(element, batch, per_batch));
 }
 
 struct Sampler<'a, 's> {

@@ -8,6 +8,8 @@ use glam::DVec3;
 use npyz::WriterBuilder;
 use npyz::npz::NpzWriter;
 use std::io::{Cursor, Seek, Write};
+use zip::CompressionMethod;
+use zip::write::FileOptions;
 
 impl Solution {
     /// The arrays of DESIGN section 6, one row an element; `meta` is JSON.
@@ -51,7 +53,9 @@ fn array<W: Write + Seek, T: npyz::AutoSerialize>(
     shape: &[u64],
     values: impl Iterator<Item = T>,
 ) -> std::io::Result<()> {
-    let mut writer = npz.array(name, Default::default())?.default_dtype().shape(shape).begin_nd()?;
+    // Not compressed: the last digits are noise, and a million elements would take as long as their solution.
+    let options = FileOptions::default().compression_method(CompressionMethod::Stored).large_file(true);
+    let mut writer = npz.array(name, options)?.default_dtype().shape(shape).begin_nd()?;
     writer.extend(values)?;
     writer.finish()
 }

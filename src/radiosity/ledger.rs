@@ -3,10 +3,9 @@
 use super::uncertainty::Replicas;
 use crate::color::Rgb;
 use crate::emitters::Emitters;
-use crate::form_factor::ExchangeMatrix;
+use crate::form_factor::Rows;
 use crate::mesh::Mesh;
 use crate::scene::Scene;
-use rayon::prelude::*;
 use serde::Serialize;
 use std::f64::consts::PI;
 
@@ -40,7 +39,7 @@ impl Ledger {
     pub(super) fn new(
         scene: &Scene,
         mesh: &Mesh,
-        matrix: &ExchangeMatrix,
+        rows: Rows,
         emitters: &Emitters,
         emitted: &[Rgb],
         reflected: &[Rgb],
@@ -62,7 +61,7 @@ impl Ledger {
         let mut left = vec![Rgb::ZERO; mesh.len()];
         let mut kept = vec![Rgb::ONE; mesh.len()];
         for e in 0..mesh.len() {
-            let s = &matrix.summary[e];
+            let s = &rows.summary()[e];
             // Radiance is carried over index squared.
             let area = mesh.area(e as u32) * s.exposed * s.index2;
             let material = scene.material(&scene.faces[mesh.place(e as u32).0 as usize]);
@@ -91,10 +90,11 @@ impl Ledger {
         // Two sources of noise: the irradiances', and that of the shares of each row that no element takes, which are 1 less
         // what elements take.
         let error = replicas.of(|h| h.iter().zip(&taken).map(|(h, t)| *h * *t).sum());
-        let shares: Rgb = (0..mesh.len())
-            .into_par_iter()
-            .map(|e| left[e] * left[e] * mean_variance(&matrix.multiply_batches(e, &kept)))
-            .collect::<Vec<_>>()
+        let shares: Rgb = rows
+            .map(|e, row| {
+                let samples: Vec<Rgb> = (0..row.batches()).map(|b| row.dot_batch(b, &kept)).collect();
+                left[e] * left[e] * mean_variance(&samples)
+            })
             .into_iter()
             .sum();
         let error = (error * error + shares).map(f64::sqrt);

@@ -22,9 +22,10 @@ pub use uncertainty::ObjectRadiosity;
 
 use crate::color::Rgb;
 use crate::emitters::Emitters;
-use crate::form_factor::{EmitterIrradiance, ExchangeMatrix, pass_on};
+use crate::form_factor::{Check, EmitterIrradiance, EmitterRows, ExchangeMatrix, Rows};
 use crate::mesh::{Mesh, NONE, Nodes};
 use crate::scene::Scene;
+use rayon::prelude::*;
 use std::f64::consts::PI;
 
 /// The solved radiosity of a scene; every vector holds one value an element.
@@ -68,13 +69,10 @@ impl Solution {
     }
 }
 
-/// Light from emitters as the three kinds of samples found it, by (row, randomisation); empty where there
-/// are none.
+/// Light from emitters as the three kinds of samples found it.
 pub struct EmitterLight {
-    /// By the rays of the matrix.
-    pub hemisphere: Vec<EmitterIrradiance>,
-    /// By samples of the emitters' area.
-    pub sampled: Vec<EmitterIrradiance>,
+    /// By hemisphere rays and by samples of the emitters' area; none where there are no emitters.
+    pub rows: Option<EmitterRows>,
     /// By particles.
     pub particles: Option<Caustic>,
 }
@@ -93,61 +91,49 @@ impl Sources {
     }
 }
 
-/// Solves for the radiosity of every element.
+/// Solves for the radiosity of every element; `check` is what [`Rows::check`] found.
 pub fn solve(
     scene: &Scene,
     mesh: Mesh,
-    matrix: &ExchangeMatrix,
+    (rows, check): (Rows, &Check),
     emitters: &Emitters,
     light: EmitterLight,
     tolerance: f64,
 ) -> crate::Result<Solution> {
     let n = mesh.len();
-    let batches = matrix.batches();
+    let batches = rows.batches();
     let transport = Transport::of(scene, &mesh);
     // Means over the open part of each element: covered parts receive nothing and are not seen.
-    let open = |row: usize| match matrix.summary[row].exposed {
+    let open = |row: usize| match rows.summary()[row].exposed {
         o if o > 0.0 => 1.0 / o,
         _ => 0.0,
     };
-    let by_batch = |row: usize, batch: usize| -> EmitterIrradiance {
-        let mut sum = EmitterIrradiance::default();
-        for part in [&light.hemisphere, &light.sampled] {
-            if let Some(e) = part.get(row * batches + batch) {
-                sum += *e;
-            }
-        }
-        sum * open(row)
-    };
+    let found = light.particles.as_ref();
     let particles = |row: usize, batch: usize| -> Rgb {
-        light.particles.as_ref().map_or(Rgb::ZERO, |p| p.by_element[row * batches + batch] * open(row))
+        found.map_or(Rgb::ZERO, |p| p.by_element[row * batches + batch] * open(row))
     };
     let sources: Vec<Sources> = (0..n)
         .map(|row| {
             let mut sum = Sources {
-                environment: matrix.summary[row].escaped * scene.environment * PI,
+                environment: rows.summary()[row].escaped * scene.environment * PI,
                 ..Default::default()
             };
-            for batch in 0..batches {
-                sum.emitters += by_batch(row, batch) * (1.0 / batches as f64);
-                sum.particles += particles(row, batch) / batches as f64;
+            if let Some(light) = &light.rows {
+                sum.emitters = light.mean[row] * open(row);
+            }
+            if found.is_some() {
+                sum.particles = (0..batches).map(|b| particles(row, b)).sum::<Rgb>() / batches as f64;
             }
             sum
         })
         .collect();
     let incident: Vec<Rgb> = sources.iter().map(Sources::total).collect();
-    let exchange = exchange::Exchange::new(matrix, |e| {
-        let material = scene.material(&scene.faces[mesh.place(e).0 as usize]);
-        if material.is_specular() { pass_on(material) } else { Rgb::ZERO }
-    });
+    let exchange = exchange::Exchange::new(rows, &check.sums);
     let (irradiance, convergence) = solve::solve(&exchange, &transport, &incident, tolerance)?;
     let reflected = transport.reflect(&irradiance);
     let by_source = uncertainty::BySource {
-        own: &|row, batch| {
-            let e = by_batch(row, batch);
-            e.straight + e.image + e.chain
-        },
-        particles: &particles,
+        own: &|row, batch| light.rows.as_ref().map_or(Rgb::ZERO, |l| l.total(row, batch) * open(row)),
+        particles: if found.is_some() { Some(&particles) } else { None },
     };
     let replicas =
         uncertainty::Replicas::new(&exchange, &transport, &irradiance, &by_source, scene.environment);
@@ -167,12 +153,12 @@ pub fn solve(
     let mapped = part(&|s| s.particles);
     let indirect: Vec<Rgb> = (0..n).map(|e| reflected[e] - direct[e] - image[e] - mapped[e]).collect();
     let nodes = Nodes::new(scene, &mesh);
-    let open: Vec<f64> = matrix.summary.iter().map(|s| s.exposed).collect();
+    let open: Vec<f64> = rows.summary().iter().map(|s| s.exposed).collect();
     let field = |values: &[Rgb]| Field::new(&mesh, &nodes, &open, values);
     let has_caustic = chain.iter().any(|c| c.max_element() > 0.0);
     let radiosity: Vec<Rgb> = emitted.iter().zip(&reflected).map(|(e, r)| *e + *r).collect();
     Ok(Solution {
-        ledger: Ledger::new(scene, &mesh, matrix, emitters, &emitted, &reflected, &irradiance, &replicas),
+        ledger: Ledger::new(scene, &mesh, rows, emitters, &emitted, &reflected, &irradiance, &replicas),
         standard_error: replicas.by_element(scene, &mesh, &transport),
         objects: replicas.by_object(scene, &mesh, &transport, &radiosity),
         radiosity,
@@ -200,7 +186,9 @@ pub fn solve_irradiance(
     incident: &[Rgb],
     tolerance: f64,
 ) -> crate::Result<(Vec<Rgb>, Convergence)> {
-    let exchange = exchange::Exchange::new(matrix, |_| Rgb::ZERO);
+    let rows = Rows::from(matrix);
+    let sums = matrix.multiply(&vec![Rgb::ONE; matrix.len()]);
+    let exchange = exchange::Exchange::new(rows, &sums);
     solve::solve(&exchange, transport, incident, tolerance)
 }
 
@@ -233,6 +221,8 @@ impl Transport {
     /// `rho_i H_i + tau_i H'_i` of every element.
     pub fn reflect(&self, irradiance: &[Rgb]) -> Vec<Rgb> {
         (0..irradiance.len())
+            .into_par_iter()
+            .with_min_len(exchange::MANY)
             .map(|e| {
                 let behind = match self.opposite[e] {
                     NONE => Rgb::ZERO,

@@ -12,9 +12,10 @@
 //! an element sees nothing but perfectly white surfaces, `w` takes more bounces.
 
 use super::Transport;
-use super::exchange::{Exchange, residual_operator};
+use super::exchange::{Exchange, MANY, residual_operator, round};
 use crate::color::Rgb;
 use crate::{Error, Result};
+use rayon::prelude::*;
 
 /// Most steps; far above what any reflectance below 1 - 1e-9 needs.
 const MOST_STEPS: usize = 4000;
@@ -48,9 +49,8 @@ pub(super) fn solve(
     tolerance: f64,
 ) -> Result<(Vec<Rgb>, Convergence)> {
     let n = incident.len();
-    let matrix = exchange.matrix();
     let lost = (0..n).fold(Rgb::ZERO, |sum, row| {
-        let s = &matrix.summary[row];
+        let s = &exchange.rows.summary()[row];
         sum + (Rgb::ONE - transport.reflectance[row] - transport.transmittance[row]) + s.escaped + s.absorbed
     }) / n.max(1) as f64;
     let lit = incident.iter().fold(Rgb::ZERO, |m, b| m.max(*b));
@@ -65,24 +65,29 @@ pub(super) fn solve(
         ));
     }
     let apply = |x: &[Rgb]| residual_operator(|y| exchange.gather(y), transport, x);
+    // Steps work in single precision; what that costs, the restart from the true residual makes good.
+    let rough = |x: &[Rgb]| residual_operator(|y| exchange.gather_rough(&round(y)), transport, x);
     let bound = Bound::new(apply, n);
-    let mut iterations = bound.bounces + 2;
-    let start = balanced(apply, incident, incident.to_vec());
-    let norm = dot(incident, incident).map(f64::sqrt);
+    let mut iterations = bound.bounces + 1;
+    let norm = norm(incident);
     let done = |x: &[Rgb], r: &[Rgb]| match bound.relative(x, r) {
         e if e.is_finite() => e <= tolerance,
         _ => relative(r, norm) <= tolerance,
     };
+    let mut state = Krylov::balanced(incident, &apply(incident), &bound.ones);
     // The recurrence drifts from the true residual: start again from where it ended.
-    let mut x = start;
-    for _ in 0..4 {
-        let r = subtract(incident, &apply(&x));
-        iterations += 1;
-        if done(&x, &r) {
+    for restart in 0..4 {
+        if restart > 0 {
+            let r = subtract(incident, &apply(&state.x));
+            iterations += 1;
+            state = Krylov::new(state.x, r);
+        }
+        if done(&state.x, &state.r) {
             break;
         }
-        iterations += bi_cgstab(apply, &mut x, r, done, MOST_STEPS / 4);
+        iterations += state.run(rough, done, MOST_STEPS / 4);
     }
+    let mut x = state.x;
     // One more bounce of what is not negative: no dark element keeps a negative rest of the solver's.
     x.iter_mut().for_each(|x| *x = x.max(Rgb::ZERO));
     let gathered = exchange.gather(&transport.reflect(&x));
@@ -108,6 +113,8 @@ struct Bound {
     bounces: usize,
     weight: Rgb,
     d: Vec<Rgb>,
+    /// `A 1`.
+    ones: Vec<Rgb>,
 }
 
 impl Bound {
@@ -115,94 +122,137 @@ impl Bound {
         let mut w = vec![Rgb::ONE; n];
         // The light of one bounce more each time: 1, F rho 1, ...
         let mut bounce = w.clone();
+        let ones = apply(&w);
+        let mut d = ones.clone();
         for bounces in 1..=MOST_BOUNCES {
-            let d = apply(&w);
             if d.iter().all(|d| d.min_element() > 1e-13) {
                 let weight = w.iter().fold(Rgb::ZERO, |m, w| m.max(*w));
-                return Bound { bounces, weight, d };
+                return Bound { bounces, weight, d, ones };
             }
-            let next: Vec<Rgb> = bounce.iter().zip(apply(&bounce)).map(|(b, a)| *b - a).collect();
-            bounce = next;
+            bounce = bounce.iter().zip(apply(&bounce)).map(|(b, a)| *b - a).collect();
             w.iter_mut().zip(&bounce).for_each(|(w, b)| *w += *b);
+            d = apply(&w);
         }
-        Bound { bounces: 2 * MOST_BOUNCES, weight: Rgb::INFINITY, d: vec![Rgb::ONE; n] }
+        Bound { bounces: 2 * MOST_BOUNCES, weight: Rgb::INFINITY, d: vec![Rgb::ONE; n], ones }
     }
 
     /// Bound on the largest error over the largest value, worst channel.
     fn relative(&self, x: &[Rgb], r: &[Rgb]) -> f64 {
-        let most = r.iter().zip(&self.d).fold(Rgb::ZERO, |m, (r, d)| m.max((*r / *d).abs()));
-        let largest = x.iter().fold(Rgb::ZERO, |m, x| m.max(x.abs()));
+        let worst = |m: Rgb, (r, d): (&Rgb, &Rgb)| m.max((*r / *d).abs());
+        let most = r.par_iter().zip(&self.d).with_min_len(MANY).fold(|| Rgb::ZERO, worst);
+        let most = most.reduce(|| Rgb::ZERO, Rgb::max);
+        let largest = x.par_iter().with_min_len(MANY).fold(|| Rgb::ZERO, |m, x| m.max(x.abs()));
+        let largest = largest.reduce(|| Rgb::ZERO, Rgb::max);
         let share = |c: usize| if most[c] == 0.0 { 0.0 } else { most[c] * self.weight[c] / largest[c] };
         share(0).max(share(1)).max(share(2))
     }
 }
 
-/// Adds the constant to `x` that makes the sum of the residuals zero.
-fn balanced(apply: impl Fn(&[Rgb]) -> Vec<Rgb>, b: &[Rgb], mut x: Vec<Rgb>) -> Vec<Rgb> {
-    let lost: Rgb = apply(&vec![Rgb::ONE; b.len()]).iter().sum();
-    let missing: Rgb = subtract(b, &apply(&x)).iter().sum();
-    let c = ratio(missing, lost);
-    x.iter_mut().for_each(|x| *x += c);
-    x
+/// Bi-CGSTAB on its way, in halves of a step, so that several systems can share their multiplications.
+pub(super) struct Krylov {
+    pub x: Vec<Rgb>,
+    /// Residual.
+    pub r: Vec<Rgb>,
+    shadow: Vec<Rgb>,
+    p: Vec<Rgb>,
+    v: Vec<Rgb>,
+    rho: Rgb,
+    alpha: Rgb,
 }
 
-/// Improves `x`, whose residual is `r`, until `done(x, r)` or for `most` multiplications; returns their number.
-fn bi_cgstab(
-    apply: impl Fn(&[Rgb]) -> Vec<Rgb>,
-    x: &mut [Rgb],
-    mut r: Vec<Rgb>,
-    done: impl Fn(&[Rgb], &[Rgb]) -> bool,
-    most: usize,
-) -> usize {
-    let shadow = r.clone();
-    let (mut p, mut rho) = (r.clone(), dot(&shadow, &r));
-    let mut count = 0;
-    while count < most && !done(x, &r) {
-        let v = apply(&p);
-        let alpha = ratio(rho, dot(&shadow, &v));
-        let s = combine(&r, -alpha, &v);
-        let t = apply(&s);
-        let omega = ratio(dot(&t, &s), dot(&t, &t));
-        for k in 0..x.len() {
-            x[k] += alpha * p[k] + omega * s[k];
-        }
-        r = combine(&s, -omega, &t);
-        let next = dot(&shadow, &r);
-        let beta = ratio(next, rho) * ratio(alpha, omega);
-        for k in 0..p.len() {
-            p[k] = r[k] + beta * (p[k] - omega * v[k]);
-        }
-        rho = next;
-        count += 2;
-        if rho == Rgb::ZERO {
-            break;
-        }
+impl Krylov {
+    /// From a guess and its residual.
+    fn new(x: Vec<Rgb>, r: Vec<Rgb>) -> Krylov {
+        let rho = dot(&r, &r);
+        Krylov { x, shadow: r.clone(), p: r.clone(), r, v: Vec::new(), rho, alpha: Rgb::ZERO }
     }
-    count
+
+    /// From `b` and the constant that makes the sum of the residuals zero; `a_b` is `A b` and `ones` is `A 1`.
+    pub fn balanced(b: &[Rgb], a_b: &[Rgb], ones: &[Rgb]) -> Krylov {
+        let r = subtract(b, a_b);
+        let c = ratio(r.iter().sum(), ones.iter().sum());
+        Krylov::new(b.iter().map(|b| *b + c).collect(), combine(&r, -c, ones))
+    }
+
+    /// What the first multiplication of a step is with.
+    pub fn direction(&self) -> &[Rgb] {
+        &self.p
+    }
+
+    /// `v` is `A` times the direction; afterwards `r` is what the second multiplication is with.
+    pub fn first(&mut self, v: Vec<Rgb>) {
+        self.alpha = ratio(self.rho, dot(&self.shadow, &v));
+        self.r = combine(&self.r, -self.alpha, &v);
+        self.v = v;
+    }
+
+    /// `t` is `A r`; false where nothing is left to improve.
+    pub fn second(&mut self, t: &[Rgb]) -> bool {
+        let omega = ratio(dot(t, &self.r), dot(t, t));
+        let alpha = self.alpha;
+        let both = self.p.par_iter().zip(&self.r);
+        self.x
+            .par_iter_mut()
+            .zip(both)
+            .with_min_len(MANY)
+            .for_each(|(x, (p, r))| *x += alpha * *p + omega * *r);
+        self.r = combine(&self.r, -omega, t);
+        let next = dot(&self.shadow, &self.r);
+        let beta = ratio(next, self.rho) * ratio(self.alpha, omega);
+        let both = self.r.par_iter().zip(&self.v);
+        self.p
+            .par_iter_mut()
+            .zip(both)
+            .with_min_len(MANY)
+            .for_each(|(p, (r, v))| *p = *r + beta * (*p - omega * *v));
+        self.rho = next;
+        self.rho != Rgb::ZERO
+    }
+
+    /// The residual's norm over another.
+    pub fn relative(&self, norm: Rgb) -> f64 {
+        relative(&self.r, norm)
+    }
+
+    /// Improves `x` until `done(x, r)` or for `most` multiplications; returns their number.
+    fn run(
+        &mut self,
+        apply: impl Fn(&[Rgb]) -> Vec<Rgb>,
+        done: impl Fn(&[Rgb], &[Rgb]) -> bool,
+        most: usize,
+    ) -> usize {
+        let mut count = 0;
+        while count < most && !done(&self.x, &self.r) {
+            let v = apply(&self.p);
+            self.first(v);
+            let t = apply(&self.r);
+            count += 2;
+            if !self.second(&t) {
+                break;
+            }
+        }
+        count
+    }
 }
 
-/// Solves `A x = b` roughly: until the residual has the share `tolerance` of the first one. For differences between
-/// randomisations, of which a few per cent are enough.
-pub(super) fn solve_roughly(apply: impl Fn(&[Rgb]) -> Vec<Rgb>, b: &[Rgb], tolerance: f64) -> Vec<Rgb> {
-    const MOST: usize = 60;
-    let mut x = balanced(&apply, b, b.to_vec());
-    let r = subtract(b, &apply(&x));
-    let norm = dot(b, b).map(f64::sqrt);
-    bi_cgstab(&apply, &mut x, r, |_, r| relative(r, norm) <= tolerance, MOST);
-    x
+/// Euclidean norm by channel.
+pub(super) fn norm(a: &[Rgb]) -> Rgb {
+    dot(a, a).map(f64::sqrt)
 }
 
 /// Sums in a fixed order: the same on any number of threads.
 fn dot(a: &[Rgb], b: &[Rgb]) -> Rgb {
-    a.iter().zip(b).map(|(a, b)| *a * *b).sum()
+    let part = |(a, b): (&[Rgb], &[Rgb])| a.iter().zip(b).map(|(a, b)| *a * *b).sum();
+    let parts: Vec<Rgb> = a.par_chunks(MANY).zip(b.par_chunks(MANY)).map(part).collect();
+    parts.iter().sum()
 }
 
 fn subtract(a: &[Rgb], b: &[Rgb]) -> Vec<Rgb> {
-    a.iter().zip(b).map(|(a, b)| *a - *b).collect()
+    a.par_iter().zip(b).with_min_len(MANY).map(|(a, b)| *a - *b).collect()
 }
 
 fn combine(a: &[Rgb], f: Rgb, b: &[Rgb]) -> Vec<Rgb> {
-    a.iter().zip(b).map(|(a, b)| *a + f * *b).collect()
+    a.par_iter().zip(b).with_min_len(MANY).map(|(a, b)| *a + f * *b).collect()
 }
 
 /// Channel by channel; a channel that has converged exactly stays where it is.

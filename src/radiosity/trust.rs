@@ -2,7 +2,7 @@
 
 use super::Solution;
 use crate::color;
-use crate::form_factor::ExchangeMatrix;
+use crate::form_factor::Rows;
 use crate::scene::Scene;
 
 /// Relative standard error of an object's reflected light above which a warning names it.
@@ -15,15 +15,15 @@ const BALANCED: f64 = 1e-3;
 const NAMED: usize = 5;
 
 /// Warnings about a solution, each naming its objects.
-pub fn warnings(scene: &Scene, solution: &Solution, matrix: &ExchangeMatrix) -> Vec<String> {
+pub fn warnings(scene: &Scene, solution: &Solution, rows: Rows) -> Vec<String> {
     let mut warnings = Vec::new();
     if solution.mesh.is_empty() {
         return warnings;
     }
-    if matrix.batches() < 2 {
+    if rows.batches() < 2 {
         warnings.push(format!(
             "{} ray an element gives no standard errors: cast at least 2 (--rays)",
-            matrix.rays_per_row
+            rows.rays_per_row()
         ));
     }
     uncertain(solution, &mut warnings);
@@ -40,7 +40,7 @@ pub fn warnings(scene: &Scene, solution: &Solution, matrix: &ExchangeMatrix) -> 
             break;
         }
     }
-    cracks(scene, solution, matrix, &mut warnings);
+    cracks(scene, solution, rows, &mut warnings);
     warnings
 }
 
@@ -70,13 +70,13 @@ fn uncertain(solution: &Solution, warnings: &mut Vec<String>) {
     }
 }
 
-fn cracks(scene: &Scene, solution: &Solution, matrix: &ExchangeMatrix, warnings: &mut Vec<String>) {
+fn cracks(scene: &Scene, solution: &Solution, rows: Rows, warnings: &mut Vec<String>) {
     let mesh = &solution.mesh;
     let (mut total, mut escaped) = (0.0, 0.0);
     let mut by_object = vec![0.0; scene.objects.len()];
     for e in 0..mesh.len() {
-        let area = mesh.area(e as u32) * matrix.summary[e].exposed;
-        let lost = area * color::mean(matrix.summary[e].escaped);
+        let area = mesh.area(e as u32) * rows.summary()[e].exposed;
+        let lost = area * color::mean(rows.summary()[e].escaped);
         total += area;
         escaped += lost;
         by_object[scene.faces[mesh.place(e as u32).0 as usize].object as usize] += lost;

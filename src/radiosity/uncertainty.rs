@@ -1,6 +1,6 @@
 //! Standard errors of a solution, with all that errors of the factors do on their way.
 //!
-//! Every row has a few independent randomisations ([`ExchangeMatrix::batches`]). A replica of the system takes one of
+//! Every row has a few independent randomisations ([`Rows::batches`]). A replica of the system takes one of
 //! them from each row, at random; the difference of its solution from the mean system's is `A^-1 (g_m - g)`, where g is
 //! what the rows gather of the solved light. The differences contain each row's own error and, over the inverse, what all
 //! other rows inherit of it, at any number of bounces: near an albedo of 1, where the room's mean light
@@ -12,12 +12,13 @@
 //! averaged over the 3 x 3 cells about an element (or as many neighbours by number on a triangle): some
 //! 25 degrees of freedom instead of 3.
 //!
-//! [`ExchangeMatrix::batches`]: crate::form_factor::ExchangeMatrix::batches
+//! [`Rows::batches`]: crate::form_factor::Rows::batches
 
 use super::Transport;
-use super::exchange::{Exchange, residual_operator};
-use super::solve::solve_roughly;
+use super::exchange::{Exchange, round};
+use super::solve::{Krylov, norm};
 use crate::color::Rgb;
+use crate::form_factor::Row;
 use crate::mesh::Mesh;
 use crate::sampling::seed_of;
 use crate::scene::Scene;
@@ -26,8 +27,12 @@ use serde::Serialize;
 
 /// Replicas of the system.
 const REPLICAS: usize = 16;
+/// Replicas that share their multiplications.
+const TOGETHER: usize = 4;
 /// Relative residual of a replica's solve.
 const ROUGH: f64 = 0.05;
+/// Most steps of a replica's solve, of two multiplications.
+const MOST_STEPS: usize = 30;
 
 /// Mean radiosity of one side of an object.
 #[derive(Debug, Clone, Serialize)]
@@ -51,15 +56,25 @@ pub struct ObjectRadiosity {
 pub(super) struct BySource<'a> {
     /// Errors independent from row to row.
     pub own: &'a (dyn Fn(usize, usize) -> Rgb + Sync),
-    /// Particles, which all rows share.
-    pub particles: &'a (dyn Fn(usize, usize) -> Rgb + Sync),
+    /// Particles, which all rows share; none where there are none.
+    pub particles: Option<&'a (dyn Fn(usize, usize) -> Rgb + Sync)>,
 }
 
 /// Differences of the replicas' irradiances from the solution's [W m^-2]; empty with one randomisation.
 pub(super) struct Replicas {
-    differences: Vec<Vec<Rgb>>,
+    differences: Vec<Vec<[f32; 3]>>,
     /// Variance of the mean over the mean square of the differences.
     scale: f64,
+}
+
+/// One randomisation of a row.
+struct Part {
+    /// What it gathers of the solved light less the mean [W m^-2].
+    own: Rgb,
+    /// What makes it close.
+    close: f64,
+    /// What it gathers of the light that a radiosity of 1 on every element leads to.
+    ones: Rgb,
 }
 
 impl Replicas {
@@ -70,70 +85,41 @@ impl Replicas {
         sources: &BySource,
         environment: Rgb,
     ) -> Replicas {
-        let matrix = exchange.matrix();
-        let (n, batches) = (matrix.len(), matrix.batches());
+        let (n, batches) = (exchange.rows.len(), exchange.rows.batches());
         if batches < 2 {
             return Replicas { differences: Vec::new(), scale: f64::NAN };
         }
-        let radiosity = transport.reflect(irradiance);
-        let ones = vec![Rgb::ONE; n];
-        let outside = std::f64::consts::PI * environment;
-        // By row and randomisation: what it gathers less the mean, and the share that makes it close.
-        let rows: Vec<(Vec<Rgb>, Vec<f64>)> = (0..n)
-            .into_par_iter()
-            .with_min_len(64)
-            .map(|row| {
-                let s = &matrix.summary[row];
-                let sums = exchange.row_by_batch(row, &ones);
-                let mean_sum = sums.iter().sum::<Rgb>() / batches as f64;
-                let closed = s.escaped + s.absorbed + s.dropped == Rgb::ZERO;
-                let close: Vec<f64> = sums
-                    .iter()
-                    .map(|sum| match mean_sum.x / sum.x {
-                        // Rays from covered parts do not count: the others still make the whole.
-                        c if c.is_finite() && (closed || c < 1.0) => c,
-                        _ => 1.0,
+        let parts = parts(exchange, transport, &transport.reflect(irradiance), sources, environment);
+        let shared_mean: Option<Vec<Rgb>> = sources.particles.map(|particles| {
+            (0..n).map(|k| (0..batches).map(|b| particles(k, b)).sum::<Rgb>() / batches as f64).collect()
+        });
+        // A turn serves every randomisation of every row once; its replicas share their multiplications.
+        let turns = REPLICAS.div_ceil(batches) as u32;
+        let mut differences = Vec::with_capacity(turns as usize * batches);
+        for turn in 0..turns {
+            let order: Vec<u16> =
+                (0..n as u32).into_par_iter().flat_map_iter(|row| shuffle(batches, row, turn)).collect();
+            let common: Vec<u16> = shuffle(batches, u32::MAX, turn).collect();
+            for first in (0..batches).step_by(TOGETHER) {
+                let count = TOGETHER.min(batches - first);
+                let pick = |row: usize, m: usize| usize::from(order[row * batches + first + m]);
+                let different = (0..count)
+                    .map(|m| {
+                        let shared = |row: usize| match (sources.particles, &shared_mean) {
+                            (Some(p), Some(mean)) => p(row, usize::from(common[first + m])) - mean[row],
+                            _ => Rgb::ZERO,
+                        };
+                        (0..n).into_par_iter().map(|row| parts[row][pick(row, m)].own + shared(row)).collect()
                     })
                     .collect();
-                let estimates: Vec<Rgb> = exchange
-                    .row_by_batch(row, &radiosity)
-                    .iter()
-                    .enumerate()
-                    .map(|(b, e)| {
-                        // What meets no element leaves the scene, as far as anything does.
-                        let escaped = if s.escaped.x > 0.0 { mean_sum - sums[b] } else { Rgb::ZERO };
-                        *e * if closed { close[b] } else { 1.0 } + (sources.own)(row, b) + escaped * outside
-                    })
-                    .collect();
-                let mean = estimates.iter().sum::<Rgb>() / batches as f64;
-                (estimates.iter().map(|e| *e - mean).collect(), close)
-            })
-            .collect();
-        let shared_mean: Vec<Rgb> = (0..n)
-            .map(|row| (0..batches).map(|b| (sources.particles)(row, b)).sum::<Rgb>() / batches as f64)
-            .collect();
-        // Whole turns through the randomisations, so that each serves equally often.
-        let replicas = REPLICAS.div_ceil(batches) * batches;
-        let common = Shuffle::new(replicas, batches, u32::MAX);
-        let orders: Vec<Shuffle> = (0..n as u32).map(|row| Shuffle::new(replicas, batches, row)).collect();
-        let differences = (0..replicas)
-            .map(|m| {
-                let pick = |row: usize| orders[row].0[m] as usize;
-                let b: Vec<Rgb> = (0..n)
-                    .map(|row| {
-                        rows[row].0[pick(row)] + (sources.particles)(row, common.0[m] as usize)
-                            - shared_mean[row]
-                    })
-                    .collect();
-                let gather = |x: &[Rgb]| {
-                    let mut y = exchange.gather_batch(pick, x);
-                    y.iter_mut().enumerate().for_each(|(row, y)| *y *= rows[row].1[pick(row)]);
-                    y
-                };
-                solve_roughly(|h| residual_operator(gather, transport, h), &b, ROUGH)
-            })
-            .collect();
-        Replicas { differences, scale: 1.0 / ((batches - 1) * replicas) as f64 }
+                let turn = Turn { exchange, transport, parts: &parts, pick: &pick };
+                for x in turn.solve(different) {
+                    differences.push(x.iter().map(|x| x.as_vec3().to_array()).collect());
+                }
+            }
+        }
+        let scale = 1.0 / ((batches - 1) * differences.len()) as f64;
+        Replicas { differences, scale }
     }
 
     /// Standard error of a linear function of the irradiances; NaN with one randomisation.
@@ -142,7 +128,7 @@ impl Replicas {
             .differences
             .iter()
             .map(|d| {
-                let y = f(d);
+                let y = f(&wide(d));
                 y * y
             })
             .sum();
@@ -153,7 +139,7 @@ impl Replicas {
     pub fn by_element(&self, scene: &Scene, mesh: &Mesh, transport: &Transport) -> Vec<Rgb> {
         let mut variance = vec![Rgb::ZERO; mesh.len()];
         for d in &self.differences {
-            for (v, r) in variance.iter_mut().zip(transport.reflect(d)) {
+            for (v, r) in variance.iter_mut().zip(transport.reflect(&wide(d))) {
                 *v += r * r * self.scale;
             }
         }
@@ -181,48 +167,174 @@ impl Replicas {
         transport: &Transport,
         radiosity: &[Rgb],
     ) -> Vec<ObjectRadiosity> {
-        let reflected: Vec<Vec<Rgb>> = self.differences.iter().map(|d| transport.reflect(d)).collect();
-        let mut sums = std::collections::BTreeMap::<(u32, bool), (f64, Rgb, Vec<Rgb>)>::new();
-        for e in 0..mesh.len() as u32 {
+        let mut of = std::collections::BTreeMap::<(u32, bool), usize>::new();
+        let side = |e: u32| {
             let (face, front, _) = mesh.place(e);
-            let object = scene.faces[face as usize].object;
-            let sum = sums
-                .entry((object, !front))
-                .or_insert_with(|| (0.0, Rgb::ZERO, vec![Rgb::ZERO; reflected.len()]));
-            let (area, e) = (mesh.area(e), e as usize);
-            sum.0 += area;
-            sum.1 += area * radiosity[e];
-            sum.2.iter_mut().zip(&reflected).for_each(|(s, r)| *s += area * r[e]);
+            (scene.faces[face as usize].object, !front)
+        };
+        (0..mesh.len() as u32).for_each(|e| {
+            of.entry(side(e)).or_insert(0);
+        });
+        of.values_mut().enumerate().for_each(|(k, v)| *v = k);
+        let slot: Vec<usize> = (0..mesh.len() as u32).map(|e| of[&side(e)]).collect();
+        let total = |values: &[Rgb]| {
+            let mut sums = vec![Rgb::ZERO; of.len()];
+            for (e, v) in values.iter().enumerate() {
+                sums[slot[e]] += *v * mesh.area(e as u32);
+            }
+            sums
+        };
+        let (areas, sums) = (total(&vec![Rgb::ONE; mesh.len()]), total(radiosity));
+        let mut squares = vec![Rgb::ZERO; of.len()];
+        for d in &self.differences {
+            let of_replica = total(&transport.reflect(&wide(d)));
+            squares.iter_mut().zip(of_replica).for_each(|(s, d)| *s += d * d);
         }
-        sums.into_iter()
-            .map(|((object, back), (area, radiosity, differences))| {
-                let variance =
-                    differences.iter().map(|d| (*d / area) * (*d / area)).sum::<Rgb>() * self.scale;
+        of.into_iter()
+            .map(|((object, back), k)| {
+                let area = areas[k].x;
+                let error = match self.differences.is_empty() {
+                    true => Rgb::NAN,
+                    false => (squares[k] * self.scale).map(f64::sqrt) / area,
+                };
                 ObjectRadiosity {
                     object,
                     name: scene.objects[object as usize].clone(),
                     front: !back,
                     area,
-                    radiosity: radiosity / area,
-                    standard_error: variance.map(f64::sqrt),
+                    radiosity: sums[k] / area,
+                    standard_error: error,
                 }
             })
             .collect()
     }
 }
 
-/// A random order of `replicas / batches` copies of each of `0..batches`.
-struct Shuffle(Vec<u16>);
+fn wide(d: &[[f32; 3]]) -> Vec<Rgb> {
+    d.iter().map(|d| Rgb::from(d.map(f64::from))).collect()
+}
 
-impl Shuffle {
-    fn new(replicas: usize, batches: usize, row: u32) -> Shuffle {
-        let mut order: Vec<u16> = (0..replicas).map(|m| (m % batches) as u16).collect();
-        for k in (1..replicas).rev() {
-            // The remainder's bias is below 1e-8.
-            order.swap(k, seed_of(&[row, k as u32, 0x5e]) as usize % (k + 1));
+/// By row and randomisation: what a replica is made of.
+fn parts(
+    exchange: &Exchange,
+    transport: &Transport,
+    radiosity: &[Rgb],
+    sources: &BySource,
+    environment: Rgb,
+) -> Vec<Vec<Part>> {
+    let outside = std::f64::consts::PI * environment;
+    let white = transport.reflect(&vec![Rgb::ONE; radiosity.len()]);
+    exchange.map(|k, row, scale| {
+        let batches = row.batches();
+        let s = &exchange.rows.summary()[k];
+        let sums: Vec<Rgb> = (0..batches).map(|b| row.sum_batch(b, |_| Rgb::ONE) * scale).collect();
+        let mean_sum = sums.iter().sum::<Rgb>() / batches as f64;
+        let closed = s.escaped + s.absorbed + s.dropped == Rgb::ZERO;
+        let mut parts: Vec<Part> = (0..batches)
+            .map(|b| {
+                let close = match mean_sum.x / sums[b].x {
+                    // Rays from covered parts do not count: the others still make the whole.
+                    c if c.is_finite() && (closed || c < 1.0) => c,
+                    _ => 1.0,
+                };
+                // What meets no element leaves the scene, as far as anything does.
+                let escaped = if s.escaped.x > 0.0 { mean_sum - sums[b] } else { Rgb::ZERO };
+                let gathered = row.dot_batch(b, radiosity) * scale * if closed { close } else { 1.0 };
+                let own = gathered + (sources.own)(k, b) + escaped * outside;
+                Part { own, close, ones: row.dot_batch(b, &white) * (scale * close) }
+            })
+            .collect();
+        let mean = parts.iter().map(|p| p.own).sum::<Rgb>() / batches as f64;
+        parts.iter_mut().for_each(|p| p.own -= mean);
+        parts
+    })
+}
+
+/// Replicas that share their multiplications: each takes another randomisation of a row.
+struct Turn<'a, 'm> {
+    exchange: &'a Exchange<'m>,
+    transport: &'a Transport,
+    parts: &'a [Vec<Part>],
+    /// Randomisation that a row lends to a replica.
+    pick: &'a (dyn Fn(usize, usize) -> usize + Sync),
+}
+
+impl Turn<'_, '_> {
+    /// `A_m x_m` of each replica that has an x.
+    fn apply(&self, xs: [Option<&[Rgb]>; TOGETHER]) -> [Option<Vec<Rgb>>; TOGETHER] {
+        let rough = xs.map(|x| x.map(|x| round(&self.transport.reflect(x))));
+        // A replica at a time keeps its radiosities in the cache; but where rays are cast again, once must do for all.
+        if !self.exchange.rows.are_kept() {
+            let gathered = self.exchange.map(|k, row, scale| {
+                let gathered = |(m, x): (usize, &Option<Vec<_>>)| {
+                    x.as_ref().map_or(Rgb::ZERO, |x| self.gather(m, (k, row, scale), x))
+                };
+                let mut y = [Rgb::ZERO; TOGETHER];
+                y.iter_mut().zip(rough.iter().enumerate()).for_each(|(y, x)| *y = gathered(x));
+                y
+            });
+            return std::array::from_fn(|m| {
+                xs[m].map(|x| x.iter().zip(&gathered).map(|(x, y)| *x - y[m]).collect())
+            });
         }
-        Shuffle(order)
+        std::array::from_fn(|m| {
+            let (x, rough) = (xs[m]?, rough[m].as_ref()?);
+            Some(self.exchange.map(|k, row, scale| x[k] - self.gather(m, (k, row, scale), rough)))
+        })
     }
+
+    /// What a replica's own randomisation of row k gathers.
+    #[inline]
+    fn gather(&self, m: usize, (k, row, scale): (usize, &Row, f64), x: &[[f32; 4]]) -> Rgb {
+        let b = (self.pick)(k, m);
+        row.dot_batch_rough(b, x) * (scale * self.parts[k][b].close)
+    }
+
+    /// Solves `A_m x_m = b_m` until the residuals have the share [`ROUGH`] of the right-hand sides.
+    fn solve(&self, b: Vec<Vec<Rgb>>) -> Vec<Vec<Rgb>> {
+        let first = self.apply(std::array::from_fn(|m| b.get(m).map(|b| &b[..])));
+        let mut systems: Vec<Krylov> = b
+            .iter()
+            .zip(first.into_iter().flatten())
+            .enumerate()
+            .map(|(m, (b, a_b))| {
+                let one = |(k, parts): (usize, &Vec<Part>)| Rgb::ONE - parts[(self.pick)(k, m)].ones;
+                let ones: Vec<Rgb> = self.parts.iter().enumerate().map(one).collect();
+                Krylov::balanced(b, &a_b, &ones)
+            })
+            .collect();
+        let norms: Vec<Rgb> = b.iter().map(|b| norm(b)).collect();
+        let mut alive = vec![true; systems.len()];
+        for _ in 0..MOST_STEPS {
+            for (m, s) in systems.iter().enumerate() {
+                alive[m] &= s.relative(norms[m]) > ROUGH;
+            }
+            if alive.iter().all(|a| !a) {
+                break;
+            }
+            let taking = |m: usize| systems.get(m).filter(|_| alive[m]);
+            let v = self.apply(std::array::from_fn(|m| taking(m).map(|s| s.direction())));
+            for (s, v) in systems.iter_mut().zip(v) {
+                v.into_iter().for_each(|v| s.first(v));
+            }
+            let taking = |m: usize| systems.get(m).filter(|_| alive[m]);
+            let t = self.apply(std::array::from_fn(|m| taking(m).map(|s| &s.r[..])));
+            for ((s, t), alive) in systems.iter_mut().zip(t).zip(&mut alive) {
+                t.into_iter().for_each(|t| *alive &= s.second(&t));
+            }
+        }
+        systems.into_iter().map(|s| s.x).collect()
+    }
+}
+
+/// A random order of `0..batches`, different for each row and turn.
+fn shuffle(batches: usize, row: u32, turn: u32) -> impl Iterator<Item = u16> {
+    let mut order: Vec<u16> = (0..batches as u16).collect();
+    for k in (1..batches).rev() {
+        // The remainder's bias is below 1e-8.
+        order.swap(k, seed_of(&[row, turn, k as u32, 0x5e]) as usize % (k + 1));
+    }
+    order.into_iter()
 }
 
 /// Calls `found` for an element and its neighbours on the same side of the same face, or of neighbouring faces of

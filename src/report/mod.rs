@@ -10,7 +10,8 @@ pub(crate) mod text;
 
 use crate::color::Rgb;
 use crate::form_factor::pairs::PairCounts;
-use crate::form_factor::{Correction, Factors, Found, HemicubeErrors, HemicubeSettings};
+use crate::form_factor::{Correction, Factors as WrittenFactors, Found, HemicubeErrors, HemicubeSettings};
+use crate::memory::Factors;
 use crate::mesh::Mesh;
 use crate::output::write_whole;
 use crate::pipeline::{Pass1, Pass1Result, Residuals, Stage};
@@ -60,9 +61,11 @@ pub struct Pass1Report {
     pub element_size: f64,
     /// Elements.
     pub elements: usize,
-    /// Entries of the matrix.
+    /// Whether form factors were kept in a matrix or cast again for each multiplication.
+    pub factors: Factors,
+    /// Entries of the matrix; 0 without one.
     pub stored_factors: usize,
-    /// Bytes of the matrix.
+    /// Bytes of the matrix; 0 without one.
     pub matrix_bytes: usize,
     /// Closure, reciprocity and the like.
     pub residuals: Residuals,
@@ -94,6 +97,7 @@ impl Pass1Report {
             settings: *settings,
             element_size: s.mesh.element_size,
             elements: s.mesh.len(),
+            factors: result.factors,
             stored_factors: result.stored,
             matrix_bytes: result.matrix_bytes,
             residuals: result.residuals,
@@ -150,7 +154,7 @@ impl FactorReport {
         mesh: &Mesh,
         found: &Found,
         (method, some): (&'static str, bool),
-        written: &Factors,
+        written: &WrittenFactors,
     ) -> FactorReport {
         let (rows, pairs) = (found.rows.as_ref(), found.pairs.as_ref());
         let by_rows = rows.map_or(0.0, |r| r.closure_residual(|_| Rgb::ZERO));

@@ -18,6 +18,7 @@ pub use delta::DeltaFactors;
 pub use errors::HemicubeErrors;
 
 use super::matrix::{ExchangeMatrix, RowSummary};
+use super::rows::{Block, Builder};
 use crate::color::Rgb;
 use crate::geometry::Frame;
 use crate::mesh::Mesh;
@@ -84,40 +85,30 @@ pub fn hemicube(
             },
         )
         .collect();
-    let stored = drawn.iter().map(|r| r.columns.len()).sum();
-    let mut matrix = ExchangeMatrix {
+    let (blocks, summary) = drawn.into_iter().map(|row| (row.entries, row.summary)).unzip();
+    ExchangeMatrix {
         batches: settings.batches() as usize,
         channels: 1,
-        start: Vec::with_capacity(mesh.len() * settings.batches() as usize + 1),
-        columns: Vec::with_capacity(stored),
-        values: Vec::with_capacity(stored),
-        summary: Vec::with_capacity(mesh.len()),
+        rows_per_block: 1,
+        blocks,
+        summary,
         rays_per_row: 0,
         rays: 0,
-    };
-    for row in drawn {
-        let base = matrix.columns.len() as u64;
-        matrix.start.extend(row.start.iter().map(|s| base + u64::from(*s)));
-        matrix.columns.extend_from_slice(&row.columns);
-        matrix.values.extend_from_slice(&row.values);
-        matrix.summary.push(row.summary);
     }
-    matrix.start.push(matrix.columns.len() as u64);
-    matrix
 }
 
-/// One row of the matrix; `start` has one entry a randomisation.
+/// One row of the matrix.
 struct Row {
-    start: Vec<u32>,
-    columns: Vec<u32>,
-    values: Vec<f32>,
+    entries: Block,
     summary: RowSummary,
 }
 
 impl Row {
     fn empty(batches: usize) -> Row {
-        let (columns, values) = (Vec::new(), Vec::new());
-        Row { start: vec![0; batches], columns, values, summary: RowSummary::default() }
+        let mut entries = Builder::new(false);
+        (0..batches).for_each(|_| entries.end_batch());
+        entries.end_row(batches, 1, 1.0);
+        Row { entries: entries.finish(), summary: RowSummary::default() }
     }
 }
 
@@ -137,6 +128,7 @@ struct Drawer<'a> {
     /// Dense sums; only touched columns are visited and cleared.
     weight: Vec<f64>,
     touched: Vec<u32>,
+    entries: Builder,
 }
 
 impl<'a> Drawer<'a> {
@@ -148,35 +140,32 @@ impl<'a> Drawer<'a> {
             buffer: ItemBuffer::new(scene, mesh, deltas.resolution()),
             weight: vec![0.0; mesh.len()],
             touched: Vec::new(),
+            entries: Builder::new(false),
         }
     }
 
     fn row(&mut self, element: u32, settings: &HemicubeSettings) -> Row {
-        let mut row = Row::empty(0);
-        row.summary.exposed = 1.0;
+        let mut summary = RowSummary { exposed: 1.0, ..RowSummary::default() };
         let (batches, grid) = (settings.batches(), settings.grid);
         let share = 1.0 / settings.cubes_per_element() as f64;
         for batch in 0..batches {
-            row.start.push(row.columns.len() as u32);
             let mut beside = Beside::default();
             for cube in 0..grid * grid {
                 let random =
                     (settings.rotations > 0).then(|| seed_of(&[settings.seed, element, batch, cube]));
                 self.cube(element, place_in_grid(grid, cube, random), random.map(turn), share, &mut beside);
             }
-            // Rows of all elements are held until the last is drawn: no spare room.
-            row.columns.reserve_exact(self.touched.len());
-            row.values.reserve_exact(self.touched.len());
             for &j in &self.touched {
-                row.columns.push(j);
-                row.values.push(self.weight[j as usize] as f32);
+                self.entries.push(j, &[self.weight[j as usize] as f32]);
                 self.weight[j as usize] = 0.0;
             }
+            self.entries.end_batch();
             self.touched.clear();
-            row.summary.escaped += Rgb::splat(beside.escaped);
-            row.summary.absorbed += Rgb::splat(beside.absorbed);
+            summary.escaped += Rgb::splat(beside.escaped);
+            summary.absorbed += Rgb::splat(beside.absorbed);
         }
-        row
+        self.entries.end_row(batches as usize, 1, 1.0);
+        Row { entries: self.entries.finish(), summary }
     }
 
     /// Adds `share` of what one hemi-cube sees; at the centroid without a place.

@@ -1,0 +1,260 @@
+//! Rows of form factors in the memory that they need.
+
+use crate::color::Rgb;
+
+/// Bits of a counted entry that hold the column; the others hold the count less one.
+const COLUMN_BITS: u32 = 27;
+const COLUMN: u32 = (1 << COLUMN_BITS) - 1;
+/// Largest count of one entry; larger ones take several entries in a row.
+const MOST: u32 = 1 << (32 - COLUMN_BITS);
+
+/// Entries of a block of consecutive rows.
+#[derive(Debug, Clone)]
+pub(super) enum Entries {
+    /// How many rays of a randomisation landed on a column, 4 bytes an entry; by row, what one ray counts.
+    Counts(Box<[u32]>, Box<[f64]>),
+    /// Columns, and a value for each channel.
+    Weights(Box<[u32]>, Box<[f32]>),
+}
+
+/// A few consecutive rows.
+#[derive(Debug, Clone)]
+pub(super) struct Block {
+    /// Start of each (row, randomisation), and the end.
+    start: Box<[u32]>,
+    entries: Entries,
+}
+
+/// A block while its rows are found.
+pub(super) struct Builder {
+    start: Vec<u32>,
+    counts: bool,
+    columns: Vec<u32>,
+    values: Vec<f32>,
+    scale: Vec<f64>,
+}
+
+impl Builder {
+    /// `counts`: weights are whole numbers of rays, in one channel.
+    pub(super) fn new(counts: bool) -> Builder {
+        Builder { start: vec![0], counts, columns: Vec::new(), values: Vec::new(), scale: Vec::new() }
+    }
+
+    /// Adds an entry to the current randomisation.
+    #[inline]
+    pub(super) fn push(&mut self, column: u32, weight: &[f32]) {
+        if !self.counts {
+            self.columns.push(column);
+            self.values.extend_from_slice(weight);
+            return;
+        }
+        let mut count = weight[0] as u32;
+        while count > 0 {
+            let part = count.min(MOST);
+            self.columns.push(column | (part - 1) << COLUMN_BITS);
+            count -= part;
+        }
+    }
+
+    /// Ends a randomisation.
+    pub(super) fn end_batch(&mut self) {
+        self.start.push(self.columns.len() as u32);
+    }
+
+    /// Ends a row of `batches` randomisations: what was pushed counts `scale` times.
+    pub(super) fn end_row(&mut self, batches: usize, channels: usize, scale: f64) {
+        if self.counts {
+            self.scale.push(scale);
+            return;
+        }
+        let first = self.start[self.start.len() - 1 - batches] as usize;
+        self.values[first * channels..].iter_mut().for_each(|v| *v *= scale as f32);
+    }
+
+    /// The rows so far; the builder starts anew.
+    pub(super) fn finish(&mut self) -> Block {
+        let columns = Box::from(&self.columns[..]);
+        let entries = match self.counts {
+            true => Entries::Counts(columns, Box::from(&self.scale[..])),
+            false => Entries::Weights(columns, Box::from(&self.values[..])),
+        };
+        let block = Block { start: Box::from(&self.start[..]), entries };
+        self.start.truncate(1);
+        self.columns.clear();
+        self.values.clear();
+        self.scale.clear();
+        block
+    }
+}
+
+impl Block {
+    /// Entries in all.
+    pub(super) fn stored(&self) -> usize {
+        self.start.last().map_or(0, |s| *s as usize)
+    }
+
+    /// Bytes that the block occupies.
+    pub(super) fn bytes(&self) -> usize {
+        let entries = match &self.entries {
+            Entries::Counts(entries, scale) => 4 * entries.len() + 8 * scale.len(),
+            Entries::Weights(columns, values) => 4 * (columns.len() + values.len()),
+        };
+        size_of::<Block>() + 4 * self.start.len() + entries
+    }
+
+    /// Row `k` of the block.
+    #[inline]
+    pub(super) fn row(&self, k: usize, batches: usize, channels: usize) -> Row<'_> {
+        let start = &self.start[k * batches..=(k + 1) * batches];
+        match &self.entries {
+            Entries::Counts(entries, scale) => {
+                Row { start, columns: entries, values: Values::Counts(scale[k]) }
+            }
+            Entries::Weights(columns, values) => {
+                let values = if channels == 1 { Values::Grey(values) } else { Values::Coloured(values) };
+                Row { start, columns, values }
+            }
+        }
+    }
+}
+
+/// One row of form factors, its independent randomisations apart.
+#[derive(Debug, Clone, Copy)]
+pub struct Row<'a> {
+    /// Start of each randomisation, and the end.
+    start: &'a [u32],
+    columns: &'a [u32],
+    values: Values<'a>,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Values<'a> {
+    Counts(f64),
+    Grey(&'a [f32]),
+    Coloured(&'a [f32]),
+}
+
+impl<'a> Row<'a> {
+    /// Independent randomisations.
+    pub fn batches(&self) -> usize {
+        self.start.len() - 1
+    }
+
+    /// Column and value (by channel) of each entry of one randomisation; no column comes twice.
+    pub fn batch(&self, batch: usize) -> impl Iterator<Item = (usize, Rgb)> + use<'a> {
+        let row = *self;
+        let (mut next, end) = (self.start[batch] as usize, self.start[batch + 1] as usize);
+        std::iter::from_fn(move || {
+            if next == end {
+                return None;
+            }
+            let entry = next;
+            next += 1;
+            Some(match row.values {
+                Values::Counts(scale) => {
+                    let column = row.columns[entry] & COLUMN;
+                    let mut count = (row.columns[entry] >> COLUMN_BITS) + 1;
+                    while next < end && row.columns[next] & COLUMN == column {
+                        count += (row.columns[next] >> COLUMN_BITS) + 1;
+                        next += 1;
+                    }
+                    (column as usize, Rgb::splat(f64::from(count) * scale))
+                }
+                Values::Grey(values) => (row.columns[entry] as usize, Rgb::splat(f64::from(values[entry]))),
+                Values::Coloured(values) => {
+                    let v = &values[3 * entry..3 * entry + 3];
+                    (row.columns[entry] as usize, Rgb::new(v[0].into(), v[1].into(), v[2].into()))
+                }
+            })
+        })
+    }
+
+    /// Entries of all randomisations; a column may come once in each.
+    pub fn entries(&self) -> impl Iterator<Item = (usize, Rgb)> + use<'a> {
+        let row = *self;
+        (0..self.batches()).flat_map(move |b| row.batch(b))
+    }
+
+    /// The row times `x`.
+    #[inline]
+    pub fn dot(&self, x: &[Rgb]) -> Rgb {
+        self.sum(0, self.batches(), |j| x[j])
+    }
+
+    /// One randomisation times `x`, an estimate of the whole.
+    #[inline]
+    pub fn dot_batch(&self, batch: usize, x: &[Rgb]) -> Rgb {
+        self.sum_batch(batch, |j| x[j])
+    }
+
+    /// [`Row::dot`] with a vector in single precision.
+    #[inline]
+    pub fn dot_rough(&self, x: &[[f32; 4]]) -> Rgb {
+        self.sum(0, self.batches(), |j| widen(x[j]))
+    }
+
+    /// [`Row::dot_batch`] with a vector in single precision.
+    #[inline]
+    pub fn dot_batch_rough(&self, batch: usize, x: &[[f32; 4]]) -> Rgb {
+        self.sum_batch(batch, |j| widen(x[j]))
+    }
+
+    /// Sum over the columns of one randomisation of the factor times `f`, an estimate of the whole.
+    #[inline]
+    pub fn sum_batch(&self, batch: usize, f: impl Fn(usize) -> Rgb) -> Rgb {
+        self.sum(batch, batch + 1, f) * self.batches() as f64
+    }
+
+    #[inline]
+    fn sum(&self, from: usize, to: usize, f: impl Fn(usize) -> Rgb) -> Rgb {
+        let range = self.start[from] as usize..self.start[to] as usize;
+        let columns = &self.columns[range.clone()];
+        match self.values {
+            Values::Counts(scale) => {
+                let sum = columns.iter().fold(Rgb::ZERO, |sum, e| {
+                    sum + f64::from((*e >> COLUMN_BITS) + 1) * f((*e & COLUMN) as usize)
+                });
+                sum * scale
+            }
+            Values::Grey(values) => {
+                let pairs = columns.iter().zip(&values[range]);
+                pairs.fold(Rgb::ZERO, |sum, (j, v)| sum + f64::from(*v) * f(*j as usize))
+            }
+            Values::Coloured(values) => {
+                let triples = columns.iter().zip(values[3 * range.start..3 * range.end].chunks_exact(3));
+                triples.fold(Rgb::ZERO, |sum, (j, v)| {
+                    sum + Rgb::new(v[0].into(), v[1].into(), v[2].into()) * f(*j as usize)
+                })
+            }
+        }
+    }
+}
+
+#[inline]
+fn widen(x: [f32; 4]) -> Rgb {
+    Rgb::new(x[0].into(), x[1].into(), x[2].into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What goes in comes out, large counts in one piece.
+    #[test]
+    fn counts_come_back_whole() {
+        let mut builder = Builder::new(true);
+        for batch in [&[(7u32, 1.0f32), (COLUMN, 65_536.0), (3, 33.0)][..], &[], &[(3, 32.0)]] {
+            batch.iter().for_each(|(j, n)| builder.push(*j, &[*n]));
+            builder.end_batch();
+        }
+        builder.end_row(3, 1, 0.5);
+        let block = builder.finish();
+        let row = block.row(0, 3, 1);
+        let found = |b: usize| row.batch(b).map(|(j, f)| (j as u32, f.x)).collect::<Vec<_>>();
+        assert_eq!(found(0), [(7, 0.5), (COLUMN, 32_768.0), (3, 16.5)]);
+        assert_eq!((found(1), found(2)), (vec![], vec![(3, 16.0)]));
+        let sum = row.sum(0, 3, |j| if j == 3 { Rgb::ONE } else { Rgb::ZERO });
+        assert_eq!(sum, Rgb::splat(32.5));
+        assert_eq!(row.sum_batch(2, |_| Rgb::ONE), Rgb::splat(48.0));
+    }
+}
