@@ -18,8 +18,8 @@ use std::time::Instant;
 pub const DEFAULT_RAYS: u32 = 1024;
 /// Independent randomisations of each row, for standard errors.
 pub const BATCHES: u32 = 4;
-/// Relative error of the radiosity solve: a thousandth of the standard errors that a million rays an element would leave.
-pub const TOLERANCE: f64 = 1e-7;
+/// Relative residual of the radiosity solve.
+pub const TOLERANCE: f64 = 1e-8;
 
 /// News from a running stage.
 #[derive(Debug, Clone, Copy)]

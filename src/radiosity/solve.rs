@@ -21,6 +21,8 @@ use rayon::prelude::*;
 const MOST_STEPS: usize = 4000;
 /// Mean share of light lost at a bounce below which double precision cannot tell a steady state from none.
 const LEAST_LOSS: f64 = 1e-12;
+/// Loss at a bounce, at every element, from which on single precision is enough for the steps of the solver.
+const LOSSY: f64 = 0.1;
 /// Bounces that the weight of the error bound may take.
 const MOST_BOUNCES: usize = 16;
 /// Larger relative errors of a solve are refused.
@@ -65,9 +67,14 @@ pub(super) fn solve(
         ));
     }
     let apply = |x: &[Rgb]| residual_operator(|y| exchange.gather(y), transport, x);
-    // Steps work in single precision; what that costs, the restart from the true residual makes good.
-    let rough = |x: &[Rgb]| residual_operator(|y| exchange.gather_rough(&round(y)), transport, x);
     let bound = Bound::new(apply, n);
+    // Where every element loses enough of what it gathers, steps work in single precision: the restart from the true residual
+    // makes good what that costs. Where little is lost, they would diverge.
+    let lossy = bound.ones.iter().all(|d| d.min_element() >= LOSSY);
+    let rough = |x: &[Rgb]| match lossy {
+        true => residual_operator(|y| exchange.gather_rough(&round(y)), transport, x),
+        false => apply(x),
+    };
     let mut iterations = bound.bounces + 1;
     let norm = norm(incident);
     let done = |x: &[Rgb], r: &[Rgb]| match bound.relative(x, r) {
