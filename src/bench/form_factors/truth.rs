@@ -47,7 +47,8 @@ impl Truth {
                 Ok(Truth::of_pairs(&pairs, n, |_| "closed forms, exact to a relative 1e-11.".into()))
             }
             Answer::Pairs { points } => {
-                let work = PairWork { points, ..pair_work(SEED) };
+                // By points: their standard errors are known, and they share nothing with cells.
+                let work = PairWork { points, by_cells: false, ..pair_work(SEED) };
                 let pairs = PairFactors::new(visibility, mesh, &work);
                 let c = pairs.counts;
                 Ok(Truth::of_pairs(&pairs, n, |se| {
@@ -168,6 +169,7 @@ pub(super) fn pair_work(seed: u32) -> PairWork<'static> {
         tolerance: 1e-5,
         by_cells: false,
         unoccluded: false,
+        by_cells: true,
         seed,
         progress: &|_| (),
     }
