@@ -167,7 +167,6 @@ pub(super) fn pair_work(seed: u32) -> PairWork<'static> {
         error: None,
         floor: 0.0,
         tolerance: 1e-5,
-        by_cells: false,
         unoccluded: false,
         by_cells: true,
         seed,
