@@ -5,6 +5,7 @@ mod correct;
 mod estimate;
 pub mod export;
 mod found;
+mod gathered;
 mod hemicube;
 mod matrix;
 mod mirror;
@@ -21,12 +22,11 @@ pub use correct::{Correction, Enforce, correct};
 pub use estimate::{MOST_RAYS, Request, by_pairs, estimate, unoccluded};
 pub use export::Factors;
 pub use found::Found;
+pub use gathered::{EmitterIrradiance, EmitterRows, EmitterWork};
 pub use hemicube::{DeltaFactors, HemicubeErrors, HemicubeSettings, MOST_PIXELS, hemicube, item_image};
 pub use matrix::{ExchangeMatrix, RowSummary};
 pub use mirror::cast_images;
-pub use raycast::{
-    Caster, Casting, EmitterIrradiance, EmitterRows, EmitterWork, cast, cast_random, cast_rows,
-};
+pub use raycast::{Caster, Casting, cast, cast_random, cast_rows};
 pub use recast::{Check, Recast, Rows};
 pub use rows::Row;
 pub use source::packets_of;

@@ -1,7 +1,8 @@
 //! Form factors by rows, kept in memory or cast again each time they are needed.
 
+use super::gathered::EmitterRows;
 use super::matrix::{ExchangeMatrix, RowSummary};
-use super::raycast::{Caster, Casting, EmitterRows};
+use super::raycast::{Caster, Casting};
 use super::rows::{Block, Row};
 use crate::color::Rgb;
 use crate::mesh::Mesh;
