@@ -7,6 +7,7 @@ use crate::embree::{Queries, Ray, Width};
 use crate::form_factor::{Casting, cast, packets_of};
 use crate::mesh::{Mesh, Sides, default_element_size};
 use crate::sampling::{SobolTable, seed_of};
+use crate::scene::Features;
 use crate::visibility::Visibility;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -18,13 +19,14 @@ const TOGETHER: usize = 1;
 const RATE: &str = "rays a second";
 const RATIO: &str = "of Embree's rate";
 const STAGE: &str = "form-factor stage";
+const STAGE_WITH_CHAINS: &str = "form-factor stage, chains allowed";
 
 pub fn run(context: &Context) -> Result<Measurements> {
     let mut found = Measurements::default();
     for name in ["cornell", "music_lesson"] {
-        let (subject, figure) = scene(context, name)?;
+        let (subject, figures) = scene(context, name)?;
         found.subjects.push(subject);
-        found.figures.extend(figure);
+        found.figures.extend(figures);
     }
     Ok(found)
 }
@@ -40,7 +42,7 @@ struct Call {
 /// What the form-factor stage asks of Embree.
 const AS_THE_STAGE: Call = Call { width: Width::Sixteen, sorted: true, coherent: true };
 
-fn scene(context: &Context, name: &str) -> Result<(Subject, Option<Figure>)> {
+fn scene(context: &Context, name: &str) -> Result<(Subject, Vec<Figure>)> {
     let scene = embedded(name)?;
     let visibility = Visibility::new(context.device, &scene)?;
     let size = context.choose(3.0, 2.0) * default_element_size(&scene);
@@ -62,7 +64,9 @@ fn scene(context: &Context, name: &str) -> Result<(Subject, Option<Figure>)> {
         .collect();
     let all = context.threads();
     let threads = thread_counts(context);
-    let mut ratios = Vec::new();
+    // What chains cost a scene that has no use for them.
+    let diffuse = !Features::of(&scene).specular;
+    let (mut ratios, mut kept) = (Vec::new(), Vec::new());
     for &n in &threads {
         let pool = pool(n)?;
         rounds(context.settings.seed, context.choose(3, 5), |seed, counts| {
@@ -70,7 +74,8 @@ fn scene(context: &Context, name: &str) -> Result<(Subject, Option<Figure>)> {
             let rates: Vec<f64> = pool.install(|| {
                 calls.iter().map(|&call| embree_rate(&visibility, &mesh, rays, seed, call)).collect()
             });
-            let stage = pool.install(|| stage_rate(&visibility, &mesh, rays, seed));
+            let stage = pool.install(|| stage_rate(&visibility, &mesh, rays, seed, false));
+            let chains = diffuse.then(|| pool.install(|| stage_rate(&visibility, &mesh, rays, seed, true)));
             if !counts {
                 return Ok(());
             }
@@ -82,7 +87,10 @@ fn scene(context: &Context, name: &str) -> Result<(Subject, Option<Figure>)> {
                 (false, _) => "Embree alone, unsorted",
             };
             let alone = calls.iter().map(|c| (order(c), c.width.rays())).zip(rates.iter().copied());
-            for ((kind, width), rate) in alone.chain([((STAGE, Width::Sixteen.rays()), stage)]) {
+            for ((kind, width), rate) in alone
+                .chain([((STAGE, Width::Sixteen.rays()), stage)])
+                .chain(chains.map(|rate| ((STAGE_WITH_CHAINS, Width::Sixteen.rays()), rate)))
+            {
                 let threads = threads_in_words(n);
                 let series = subject.series(&format!("{kind}, {threads}"), "rays a call");
                 let point = series.at(width as f64);
@@ -91,6 +99,7 @@ fn scene(context: &Context, name: &str) -> Result<(Subject, Option<Figure>)> {
             }
             if n == all {
                 ratios.push(stage / base);
+                kept.extend(chains.map(|rate| rate / stage));
             }
             Ok(())
         })?;
@@ -108,7 +117,14 @@ fn scene(context: &Context, name: &str) -> Result<(Subject, Option<Figure>)> {
     let label = format!(
         "of Embree's own rate on the same rays is kept by the form-factor stage ({name}, {all} threads)"
     );
-    Ok((subject, Some(Figure { label, unit: Unit::Share, samples: ratios })))
+    let mut figures = vec![Figure { label, unit: Unit::Share, samples: ratios }];
+    if diffuse {
+        let label = format!(
+            "of the form-factor stage's rate is kept where specular chains are allowed and no surface needs them ({name}, {all} threads)"
+        );
+        figures.push(Figure { label, unit: Unit::Share, samples: kept });
+    }
+    Ok((subject, figures))
 }
 
 /// Rays a second of Embree alone: rays over the seconds within its calls, over all threads.
@@ -150,10 +166,10 @@ fn embree_rate(visibility: &Visibility, mesh: &Mesh, rays: u32, seed: u32, call:
     count as f64 / seconds * rayon::current_num_threads() as f64
 }
 
-/// Rays a second of the whole stage.
-fn stage_rate(visibility: &Visibility, mesh: &Mesh, rays: u32, seed: u32) -> f64 {
+/// Rays a second of the whole stage; with `specular`, rays go on wherever a surface asks for it.
+fn stage_rate(visibility: &Visibility, mesh: &Mesh, rays: u32, seed: u32, specular: bool) -> f64 {
     let casting =
-        Casting { rays, batches: 1, seed, specular: false, reached: None, emitters: None, progress: &|_| () };
+        Casting { rays, batches: 1, seed, specular, reached: None, emitters: None, progress: &|_| () };
     let start = Instant::now();
     let (matrix, _) = cast(visibility, mesh, &casting);
     matrix.rays as f64 / start.elapsed().as_secs_f64()
