@@ -17,16 +17,15 @@ pub fn differential(point: DVec3, normal: DVec3, polygon: &Polygon) -> f64 {
         return 0.0;
     }
     match polygon.before(point, normal) {
-        Cut::All => lambert(point, normal, polygon),
+        Cut::All => lambert(point, normal, polygon.corners()),
         Cut::Nothing => 0.0,
-        Cut::Part(part) => lambert(point, normal, &part),
+        Cut::Part(part) => lambert(point, normal, part.corners()),
     }
 }
 
-/// [`differential`] for a polygon that lies above the horizon and faces the point.
+/// [`differential`] for the corners of a polygon that lies above the horizon and faces the point.
 #[inline]
-pub fn lambert(point: DVec3, normal: DVec3, polygon: &Polygon) -> f64 {
-    let corners = polygon.corners();
+pub fn lambert(point: DVec3, normal: DVec3, corners: &[DVec3]) -> f64 {
     let mut from = corners[corners.len() - 1] - point;
     let mut sum = 0.0;
     for corner in corners {

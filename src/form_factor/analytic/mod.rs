@@ -71,7 +71,7 @@ fn clipped(a: &Polygon, b: &Polygon, tolerance: f64, splits: u32) -> f64 {
     if na.min(nb).pow(2) <= most_points && na.max(nb) > 3 {
         let (small, large, n) = if na <= nb { (a, b, na) } else { (b, a, nb) };
         let mut sum = 0.0;
-        points(small, n, |p, w| sum += w * lambert(p, small.normal, large));
+        points(small, n, |p, w| sum += w * lambert(p, small.normal, large.corners()));
         return sum;
     }
     let mut whole = contour(a, b, if fast { 1e-6 } else { EXACT });

@@ -283,7 +283,7 @@ impl Cells {
         let whole = match target.size {
             Size::Point => point(target.moment.0, target.moment.1),
             Size::Small => midpoints(viewer, normal, polygon.corners(), polygon.normal),
-            Size::Large => lambert(viewer, normal, polygon),
+            Size::Large => lambert(viewer, normal, polygon.corners()),
         };
         if whole <= 0.0 {
             // On the plane of the polygon, where both touch.
@@ -326,7 +326,7 @@ impl Cells {
                     rest
                 } else {
                     // The rule's error would be large for the little that is left.
-                    lambert(viewer, normal, polygon) - hidden.lambert(viewer, normal)
+                    lambert(viewer, normal, polygon.corners()) - hidden.lambert(viewer, normal)
                 }
             }
             Size::Large => whole - hidden.lambert(viewer, normal),
@@ -542,17 +542,6 @@ impl Ring {
 
     /// Lambert's formula, for what lies above the horizon and faces the viewer.
     fn lambert(&self, viewer: DVec3, normal: DVec3) -> f64 {
-        let mut from = self.corners[self.len - 1] - viewer;
-        let mut sum = 0.0;
-        for corner in &self.corners[..self.len] {
-            let to = *corner - viewer;
-            let cross = from.cross(to);
-            let sine = cross.length();
-            if sine > 0.0 {
-                sum -= cross.dot(normal) * (sine.atan2(from.dot(to)) / sine);
-            }
-            from = to;
-        }
-        sum / (2.0 * PI)
+        lambert(viewer, normal, &self.corners[..self.len])
     }
 }

@@ -99,7 +99,7 @@ impl Seen<'_> {
     #[inline]
     fn factor(&self, viewer: DVec3, normal: DVec3, part: &Polygon) -> f64 {
         if !self.small {
-            return lambert(viewer, normal, part);
+            return lambert(viewer, normal, part.corners());
         }
         // Edge midpoints of a fan of triangles: exact for kernels of second degree.
         let c = part.corners();
