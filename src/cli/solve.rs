@@ -29,25 +29,24 @@ pub fn run(args: &SolveArgs) -> Result<()> {
         pipeline::stage("build", 0, observer, &mut stages, || (Visibility::new(&device, &scene), 0))?;
     let emitters = Emitters::new(&visibility);
     let limit = args.memory.limit();
-    let cameras = &scene.cameras;
+    let cameras = scene.view_points();
     let result =
-        pipeline::solve_within(limit, &visibility, &emitters, cameras, &settings, observer, &mut stages)?;
+        pipeline::solve_within(limit, &visibility, &emitters, &cameras, &settings, observer, &mut stages)?;
     tell_factors(&progress, &result);
     result.warnings.iter().for_each(|w| progress.warn(w));
     let versions = Versions::new(&device);
-    let meta = serde_json::json!({
-        "objects": scene.objects,
-        "scene_hash": format!("{:016x}", scene.hash()),
-        "settings": settings,
-        "versions": versions,
-    });
+    let pass1 = Pass1Report::new(&settings, &result);
+    let about = [
+        ("settings".into(), serde_json::json!(settings)),
+        ("versions".into(), serde_json::json!(versions)),
+        ("pass1".into(), serde_json::json!(pass1)),
+    ];
     pipeline::stage("write", 0, observer, &mut stages, || {
-        let bytes = result.solution.to_npz(&scene, &meta.to_string());
+        let bytes = result.solution.to_npz(&scene, about.into_iter().collect());
         (bytes.and_then(|b| write_whole(&args.output, &b)), 0)
     })?;
     let warnings = scene.warnings.iter().chain(&result.warnings).cloned().collect();
     let mut report = Report::new(&scene, versions, args.common.seed, stages, warnings);
-    let pass1 = Pass1Report::new(&settings, &result);
     report.elements = pass1.elements;
     report.pass1 = Some(pass1);
     if let Some(path) = &args.report {

@@ -50,6 +50,21 @@ impl CausticMap {
     pub fn at(&self, side: (u32, bool), u: f32, v: f32) -> Option<Rgb> {
         self.field.at(&self.mesh, &self.nodes, side, u, v)
     }
+
+    /// A map of known values.
+    pub(super) fn of(mesh: Mesh, nodes: Nodes, field: Field) -> CausticMap {
+        CausticMap { mesh, nodes, field }
+    }
+
+    /// What its cells were made by: their largest edge \[m\].
+    pub(super) fn element_size(&self) -> f64 {
+        self.mesh.element_size
+    }
+
+    /// Its values on the nodes of its cells.
+    pub(super) fn field(&self) -> &Field {
+        &self.field
+    }
 }
 
 /// A particle's arrival.

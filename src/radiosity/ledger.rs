@@ -35,6 +35,37 @@ pub struct Ledger {
 }
 
 impl Ledger {
+    /// Number of its quantities.
+    pub(super) const ROWS: usize = 8;
+
+    /// Its quantities in the order in which they are declared.
+    pub(super) fn rows(&self) -> [Rgb; Ledger::ROWS] {
+        [
+            self.emitted,
+            self.environment,
+            self.absorbed,
+            self.absorbed_specular,
+            self.escaped,
+            self.dropped,
+            self.residual,
+            self.residual_error,
+        ]
+    }
+
+    /// The ledger of these quantities, [`Ledger::ROWS`] of them.
+    pub(super) fn of_rows(rows: &[Rgb]) -> Ledger {
+        Ledger {
+            emitted: rows[0],
+            environment: rows[1],
+            absorbed: rows[2],
+            absorbed_specular: rows[3],
+            escaped: rows[4],
+            dropped: rows[5],
+            residual: rows[6],
+            residual_error: rows[7],
+        }
+    }
+
     #[allow(clippy::too_many_arguments)] // a solution's parts, before they are one
     pub(super) fn new(
         scene: &Scene,

@@ -14,6 +14,7 @@ mod uncertainty;
 pub use caustic::{Caustic, CausticMap, trace_particles};
 pub use direct::sample_emitters;
 pub use directional::{Directional, solve_directional};
+pub use file::Kept;
 pub use ledger::Ledger;
 pub use reconstruct::Field;
 pub use solve::Convergence;

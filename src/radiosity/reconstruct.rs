@@ -77,6 +77,16 @@ impl Field {
         Field { nodes: field.iter().map(|v| v.as_vec3().to_array()).collect() }
     }
 
+    /// A field of known values.
+    pub(super) fn of_nodes(nodes: Vec<[f32; 3]>) -> Field {
+        Field { nodes }
+    }
+
+    /// The values on the nodes.
+    pub(super) fn nodes(&self) -> &[[f32; 3]] {
+        &self.nodes
+    }
+
     /// The value at (u, v) of a side; none where the side has no elements.
     #[inline]
     pub fn at(&self, mesh: &Mesh, nodes: &Nodes, (face, front): (u32, bool), u: f32, v: f32) -> Option<Rgb> {

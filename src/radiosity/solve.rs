@@ -41,6 +41,18 @@ pub struct Convergence {
     pub tolerance: f64,
 }
 
+impl Convergence {
+    /// Its numbers in the order in which they are declared.
+    pub(super) fn numbers(&self) -> [f64; 4] {
+        [self.iterations as f64, self.residual, self.error_bound, self.tolerance]
+    }
+
+    /// The inverse of [`Convergence::numbers`].
+    pub(super) fn of_numbers([iterations, residual, error_bound, tolerance]: [f64; 4]) -> Convergence {
+        Convergence { iterations: iterations as usize, residual, error_bound, tolerance }
+    }
+}
+
 /// Solves for the irradiance [W m^-2] of every element; `incident` is its part straight from the sources.
 ///
 /// Errors where nothing is lost at a bounce, so that no steady state exists.

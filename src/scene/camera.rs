@@ -2,6 +2,7 @@
 
 use super::Scene;
 use super::document::{Section, nearest};
+use super::path::CameraPath;
 use crate::error::{Error, Result};
 use glam::DVec3;
 
@@ -11,7 +12,7 @@ const MAX_SIZE: u32 = 65_536;
 /// Most pixels of an image: three gigabytes of samples.
 const MAX_PIXELS: u64 = 1 << 28;
 
-const KEYS: [&str; 6] = ["name", "origin", "target", "up", "fov", "size"];
+const KEYS: [&str; 7] = ["name", "origin", "target", "up", "fov", "size", "keyframe"];
 
 /// A pinhole camera as the scene file states it, validated.
 #[derive(Debug, Clone, PartialEq)]
@@ -49,45 +50,54 @@ pub fn within_size([width, height]: [u32; 2]) -> bool {
 }
 
 impl Camera {
-    /// Reads `[camera]`; `index` (from 0) names a camera that has no name when there are several.
+    /// Reads `[camera]` and its keyframes; `index` (from 0) names a camera that has no name when there are several.
+    /// What the camera itself leaves out of origin and target is the first keyframe's.
     pub(super) fn read(
         mut section: Section<'_>,
         index: Option<usize>,
         warnings: &mut Vec<String>,
-    ) -> Result<Camera> {
+    ) -> Result<(Camera, Option<CameraPath>)> {
         let name = match section.get("name") {
             Some(entry) => entry.text()?.to_string(),
             None => index.map_or("camera".into(), |i| (i + 1).to_string()),
         };
         section.label = format!("camera \"{name}\"");
         section.warn_unknown(&KEYS, warnings);
+        let keyframes = section.get("keyframe").map_or(Ok(Vec::new()), |e| e.sections())?;
         let required = |key: &str| {
+            let first = keyframes.first().and_then(|k| k.get(key));
             let missing = || section.missing(key, &KEYS, &format!("add {key} = [x, y, z]"));
-            section.get(key).ok_or_else(missing)?.vector()
+            section.get(key).or(first).ok_or_else(missing)?.vector()
         };
         let camera = Camera {
             origin: required("origin")?,
             target: required("target")?,
             up: section.get("up").map_or(Ok(DVec3::Y), |e| e.vector())?,
-            fov: section.get("fov").map_or(Ok(45.0), |e| match e.number()? {
-                fov if fov > 0.0 && fov < 180.0 => Ok(fov),
-                fov => Err(e.error(format!("must lie between 0 and 180 degrees, is {fov}"))),
-            })?,
+            fov: section.get("fov").map_or(Ok(45.0), |e| e.field_of_view())?,
             size: section.get("size").map_or(Ok([512, 512]), |e| match e.size(MAX_SIZE)? {
                 size if within_size(size) => Ok(size),
                 [w, h] => Err(e.error(format!("must make at most {MAX_PIXELS} pixels, is {w} x {h}"))),
             })?,
             name,
         };
-        let view = (camera.target - camera.origin).try_normalize();
-        let view =
-            view.ok_or_else(|| section.error("origin and target are the same point, or too far apart"))?;
-        let up = camera.up.try_normalize();
-        let up = up.ok_or_else(|| section.error("up must not be zero"))?;
+        camera.check().map_err(|what| section.error(what))?;
+        let path = if section.get("keyframe").is_some() {
+            Some(CameraPath::read(&camera, &section, keyframes, warnings)?)
+        } else {
+            None
+        };
+        Ok((camera, path))
+    }
+
+    /// Whether it can be looked through; otherwise what is wrong.
+    pub(super) fn check(&self) -> std::result::Result<(), &'static str> {
+        let view = (self.target - self.origin).try_normalize();
+        let view = view.ok_or("origin and target are the same point, or too far apart")?;
+        let up = self.up.try_normalize().ok_or("up must not be zero")?;
         if view.cross(up).length() < 1e-6 {
-            return Err(section.error("looks along its up vector; choose another up"));
+            return Err("looks along its up vector; choose another up");
         }
-        Ok(camera)
+        Ok(())
     }
 
     /// Places the camera in the scene's metres.

@@ -141,6 +141,14 @@ impl<'a> Entry<'a> {
         }
     }
 
+    /// A vertical field of view in degrees.
+    pub fn field_of_view(&self) -> Result<f64> {
+        match self.number()? {
+            fov if fov > 0.0 && fov < 180.0 => Ok(fov),
+            fov => Err(self.error(format!("must lie between 0 and 180 degrees, is {fov}"))),
+        }
+    }
+
     /// A number above zero.
     pub fn positive(&self) -> Result<f64> {
         let n = self.number()?;
@@ -149,23 +157,28 @@ impl<'a> Entry<'a> {
 
     /// A whole number from 1 to `max`.
     pub fn count(&self, max: u32) -> Result<u32> {
-        self.whole(self.value.get_ref(), max)
+        self.count_from(1, max)
     }
 
-    fn whole(&self, value: &DeValue<'_>, max: u32) -> Result<u32> {
+    /// A whole number from `min` to `max`.
+    pub fn count_from(&self, min: u32, max: u32) -> Result<u32> {
+        self.whole(self.value.get_ref(), min, max)
+    }
+
+    fn whole(&self, value: &DeValue<'_>, min: u32, max: u32) -> Result<u32> {
         let DeValue::Integer(i) = value else {
             return Err(self.wrong_type("a whole number", value));
         };
         match i64::from_str_radix(i.as_str(), i.radix()) {
-            Ok(n) if (1..=i64::from(max)).contains(&n) => Ok(n as u32),
-            _ => Err(self.error(format!("must be a whole number from 1 to {max}, is {i}"))),
+            Ok(n) if (i64::from(min)..=i64::from(max)).contains(&n) => Ok(n as u32),
+            _ => Err(self.error(format!("must be a whole number from {min} to {max}, is {i}"))),
         }
     }
 
     /// Width and height, each from 1 to `max`.
     pub fn size(&self, max: u32) -> Result<[u32; 2]> {
         let items = self.items(2, "a list of 2 whole numbers")?;
-        Ok([self.whole(items[0].get_ref(), max)?, self.whole(items[1].get_ref(), max)?])
+        Ok([self.whole(items[0].get_ref(), 1, max)?, self.whole(items[1].get_ref(), 1, max)?])
     }
 
     /// Three finite numbers.

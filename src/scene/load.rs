@@ -5,6 +5,7 @@ use super::document::{Document, Section};
 use super::faces::{self, Numbering};
 use super::material::Material;
 use super::obj::{self, ObjFile};
+use super::path::CameraPath;
 use super::{RadiosityDefaults, RenderDefaults, Scene, mtl};
 use crate::color::Rgb;
 use crate::error::{Error, Result};
@@ -60,6 +61,7 @@ struct Plan {
     path: PathBuf,
     unit: f64,
     cameras: Vec<Camera>,
+    paths: Vec<CameraPath>,
     environment: Rgb,
     radiosity: RadiosityDefaults,
     render: RenderDefaults,
@@ -72,6 +74,7 @@ impl Plan {
             path: path.into(),
             unit: 1.0,
             cameras: Vec::new(),
+            paths: Vec::new(),
             environment: Rgb::ZERO,
             radiosity: RadiosityDefaults::default(),
             render: RenderDefaults::default(),
@@ -89,7 +92,7 @@ fn load_toml(doc: &Document<'_>) -> Result<Scene> {
         plan.unit = unit.positive()?;
     }
     read_settings(&top, &mut plan)?;
-    plan.cameras = read_cameras(&top, &mut plan.warnings)?;
+    read_cameras(&top, &mut plan)?;
     let overrides = read_overrides(&top, &mut plan.warnings)?;
 
     let geometry = top.get("geometry");
@@ -140,20 +143,20 @@ fn read_settings(top: &Section<'_>, plan: &mut Plan) -> Result<()> {
     Ok(())
 }
 
-fn read_cameras(top: &Section<'_>, warnings: &mut Vec<String>) -> Result<Vec<Camera>> {
-    let Some(entry) = top.get("camera") else { return Ok(Vec::new()) };
+fn read_cameras(top: &Section<'_>, plan: &mut Plan) -> Result<()> {
+    let Some(entry) = top.get("camera") else { return Ok(()) };
     let sections = entry.sections()?;
     let several = sections.len() > 1;
-    let mut cameras: Vec<Camera> = Vec::with_capacity(sections.len());
     for (index, section) in sections.into_iter().enumerate() {
         let line = section.line;
-        let camera = Camera::read(section, several.then_some(index), warnings)?;
-        if cameras.iter().any(|c| c.name == camera.name) {
+        let (camera, path) = Camera::read(section, several.then_some(index), &mut plan.warnings)?;
+        if plan.cameras.iter().any(|c| c.name == camera.name) {
             return Err(top.doc.error(line, format!("a second camera \"{}\"", camera.name)));
         }
-        cameras.push(camera);
+        plan.cameras.push(camera);
+        plan.paths.extend(path);
     }
-    Ok(cameras)
+    Ok(())
 }
 
 /// What the scene file says about a material: only what is set replaces the MTL's value.
@@ -266,6 +269,7 @@ fn assemble(mut plan: Plan, mut files: Vec<ObjFile>, overrides: Vec<Override>) -
         radius: geometry.radius,
         unit: plan.unit,
         cameras: plan.cameras,
+        paths: plan.paths,
         environment: plan.environment,
         radiosity: plan.radiosity,
         render: plan.render,

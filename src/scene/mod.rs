@@ -14,12 +14,14 @@ mod material;
 mod mtl;
 mod obj;
 mod obj_text;
+mod path;
 mod polygon;
 
 pub use camera::{Camera, CameraFrame, within_size};
 pub use features::Features;
 pub use load::load;
 pub use material::Material;
+pub use path::CameraPath;
 
 use crate::color::Rgb;
 use glam::DVec3;
@@ -53,6 +55,8 @@ pub struct Scene {
     pub unit: f64,
     /// Cameras; may be empty (then only `solve` and `form-factors` work).
     pub cameras: Vec<Camera>,
+    /// The cameras that move; each has the name of one of `cameras`.
+    pub paths: Vec<CameraPath>,
     /// Constant radiance that arrives from outside [W m^-2 sr^-1].
     pub environment: Rgb,
     /// `[radiosity]` of the scene file.
