@@ -57,6 +57,7 @@ pub mod render;
 pub mod report;
 pub mod sampling;
 pub mod scene;
+pub mod sequence;
 pub mod visibility;
 
 pub use error::{Error, Result};

@@ -5,13 +5,14 @@ use crate::color::Rgb;
 use crate::emitters::Emitters;
 use crate::form_factor::{self, Casting, EmitterRows, EmitterWork, Recast, Rows, pass_on};
 use crate::memory::{Factors, Need};
-use crate::mesh::{Mesh, Sides, default_element_size};
+use crate::mesh::{Mesh, NONE, Sides, default_element_size};
 use crate::radiosity::{self, Directional, EmitterLight, Solution};
 use crate::sampling::MAX_POINTS;
 use crate::scene::{Camera, Features, Scene};
 use crate::visibility::{Visibility, reachable_sides};
 use crate::{Error, Result};
 use serde::Serialize;
+use std::collections::BTreeSet;
 use std::time::Instant;
 
 /// Rays an element where nobody says otherwise.
@@ -28,6 +29,8 @@ pub enum Event {
     Begin(&'static str, u64),
     /// So much more is done.
     Advance(u64),
+    /// The stage is at this item of so many.
+    Item(u64, u64),
     /// The stage is over.
     End,
 }
@@ -263,6 +266,39 @@ pub fn solve_directional(
         let rays = rays + solution.as_ref().map_or(0, |s| s.rays);
         (solution, rays)
     })
+}
+
+/// Warns where cameras see diffuse surfaces without elements: a solution that was kept did not know the view. At most 64
+/// cameras are asked, by 32 x 32 rays each.
+pub fn without_elements(visibility: &Visibility, mesh: &Mesh, cameras: &[&Camera]) -> Vec<String> {
+    const RAYS: u32 = 32;
+    let scene = visibility.scene();
+    let mut objects = BTreeSet::new();
+    for camera in cameras.iter().step_by(cameras.len().div_ceil(64).max(1)) {
+        let frame = camera.frame(scene);
+        let at = |k: u32, n: u32| (f64::from(k) + 0.5) * f64::from(n) / f64::from(RAYS);
+        for k in 0..RAYS * RAYS {
+            let direction = frame.direction(at(k % RAYS, camera.size[0]), at(k / RAYS, camera.size[1]));
+            let hit = visibility.closest(frame.origin().as_vec3(), direction.as_vec3(), u32::MAX);
+            let Some(hit) = hit else { continue };
+            let face = &scene.faces[hit.face as usize];
+            let material = scene.material(face);
+            let reflects = material.is_diffuse() && (hit.front || material.two_sided);
+            if reflects && mesh.first(hit.face, hit.front) == NONE {
+                objects.insert(face.object);
+            }
+        }
+    }
+    if objects.is_empty() {
+        return Vec::new();
+    }
+    let names: Vec<&str> = objects.iter().take(5).map(|o| scene.objects[*o as usize].as_str()).collect();
+    vec![format!(
+        "the camera sees surfaces that neither light nor a camera reached when the solution was made: they get no indirect \
+         light ({}{}); solve again with this camera in the scene file",
+        names.join(", "),
+        if objects.len() > names.len() { ", ..." } else { "" }
+    )]
 }
 
 /// The sides that light or a camera can reach, divided into elements; its time counts as `build`.

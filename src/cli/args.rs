@@ -2,7 +2,7 @@
 
 use crate::scene::within_size;
 use clap::{Args as ClapArgs, Parser, Subcommand, ValueEnum};
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 use std::path::PathBuf;
 
 /// Two-pass global illumination (Wallace, Cohen and Greenberg 1987) and form factors on Embree.
@@ -71,12 +71,22 @@ impl MemoryArgs {
 pub struct RenderArgs {
     /// Scene file (TOML).
     pub scene: PathBuf,
-    /// Image to write: .exr, .tif, .hdr (linear radiance) or .png, .jpg (sRGB). May be given several times.
+    /// Image to write: .exr, .tif, .hdr (linear radiance) or .png, .jpg (sRGB). May be given several times. With --frames the
+    /// name says where the frame's number goes: out.%04d.exr (printf's, as for OpenImageIO and ffmpeg) or out_####.exr (one #
+    /// a digit, as in Blender).
     #[arg(short, long, value_name = "IMAGE", required = true)]
     pub output: Vec<PathBuf>,
     /// Camera of the scene file [default: the first].
     #[arg(long, value_name = "NAME")]
     pub camera: Option<String>,
+    /// Frames A to B of the camera's path ([[camera.keyframe]] in the scene file), both rendered; or one frame A. Pass 1 is
+    /// solved once for all.
+    #[arg(long, value_name = "A..B", value_parser = frames, allow_hyphen_values = true)]
+    pub frames: Option<RangeInclusive<u32>>,
+    /// Take pass 1 from a file that `twopass solve` wrote for this scene instead of solving. The picture is the same to the
+    /// bit.
+    #[arg(long, value_name = "FILE.npz", conflicts_with_all = ["rays", "element_size", "max_memory"])]
+    pub solution: Option<PathBuf>,
     /// Pixels across and down [default: the camera's]
     #[arg(long, value_name = "WxH", value_parser = size)]
     pub size: Option<[u32; 2]>,
@@ -363,6 +373,17 @@ fn size(s: &str) -> Result<[u32; 2], String> {
     match parsed {
         Some(size) if within_size(size) => Ok(size),
         _ => Err("must be WIDTHxHEIGHT, for example 640x480, of at most 65536 each and 2^28 pixels".into()),
+    }
+}
+
+fn frames(s: &str) -> Result<RangeInclusive<u32>, String> {
+    let (a, b) = s.split_once("..").unwrap_or((s, s));
+    match (a.parse(), b.parse()) {
+        (Ok(a), Ok(b)) if a <= b => Ok(a..=b),
+        _ => {
+            Err("must be A..B with whole numbers A <= B, both rendered, for example 1..100; or one number"
+                .into())
+        }
     }
 }
 

@@ -4,6 +4,7 @@ mod args;
 mod bench;
 mod compare;
 mod form_factors;
+mod frames;
 mod info;
 mod progress;
 mod render;

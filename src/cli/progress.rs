@@ -51,6 +51,11 @@ impl Progress {
                     bar.inc(n);
                 }
             }
+            Event::Item(k, n) => {
+                if let Some((name, _, bar)) = &*current {
+                    bar.set_message(format!("{name} {k}/{n}"));
+                }
+            }
             Event::End => {
                 if let Some((name, start, bar)) = current.take() {
                     bar.finish_and_clear();

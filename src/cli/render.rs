@@ -2,25 +2,31 @@
 
 use super::args::{EstimatorArg, MethodArg, Pass1Args, QualityArg, RenderArgs};
 use super::check_outputs;
+use super::frames::{Pattern, check_range, refuse_pattern};
 use super::progress::Progress;
 use crate::embree::Device;
 use crate::emitters::Emitters;
-use crate::image::{self, WriteOptions};
+use crate::image::{self, Image, WriteOptions};
 use crate::memory::Factors;
 use crate::pipeline::{self, Pass1, Pass1Result, Stage};
+use crate::radiosity::Solution;
 use crate::render::{Estimator, Method, Quality, Settings, render, render_directional};
-use crate::report::{Pass1Report, Report, Versions, command_line};
-use crate::scene::{Scene, load};
+use crate::report::{KeptReport, Pass1Report, Report, Versions, command_line};
+use crate::scene::{Camera, Scene, load};
+use crate::sequence::{FrameTime, render_frames};
 use crate::visibility::Visibility;
 use crate::{Error, Result};
+use std::path::PathBuf;
 
 pub fn run(args: &RenderArgs) -> Result<()> {
-    for output in &args.output {
-        image::supported(output)?;
-    }
-    check_outputs(&args.scene, args.output.iter().chain(&args.report))?;
+    let patterns = outputs(args)?;
     if !args.exposure.is_finite() {
         return Err(Error::Usage("--exposure must be a finite number".into()));
+    }
+    if args.solution.is_some() && !matches!(args.method, MethodArg::TwoPass | MethodArg::Radiosity) {
+        return Err(Error::Usage(
+            "--solution is for --method two-pass and radiosity: others have no pass 1".into(),
+        ));
     }
     let progress = Progress::new(args.common.quiet);
     let observer = &|e| progress.tell(e);
@@ -28,8 +34,11 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     let scene = pipeline::stage("load", 0, observer, &mut stages, || (load(&args.scene), 0))?;
     let mut warnings = scene.warnings.clone();
     scene.warnings.iter().for_each(|w| progress.warn(w));
-    let mut camera = scene.camera(args.camera.as_deref())?.clone();
-    camera.size = args.size.unwrap_or(camera.size);
+    let cameras = cameras(args, &scene)?;
+    let kept = args.solution.as_ref().map(|path| {
+        pipeline::stage("solution", 0, observer, &mut stages, || (Solution::read_npz(&scene, path), 0))
+    });
+    let kept = kept.transpose()?;
     let settings = settings(args, &scene);
 
     let device = Device::new(rayon::current_num_threads())?;
@@ -38,14 +47,15 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     let emitters = Emitters::new(&visibility);
     pipeline::require_light(&scene, &emitters)?;
     let pass1_settings = pass1(&args.pass1, &scene, args.common.seed);
-    let cameras = std::slice::from_ref(&camera);
-    let pixels = u64::from(camera.size[0]) * u64::from(camera.size[1]);
+    // Not the camera at hand: pass 1 is the same whichever view is rendered, and as `solve` has it.
+    let view_points = scene.view_points();
     let advance = |n| progress.tell(pipeline::Event::Advance(n));
     let mut pass1 = None;
-    let (picture, elements) = if args.method == MethodArg::Directional {
+    let mut directional = None;
+    if args.method == MethodArg::Directional {
         let what = (&pass1_settings, args.directions);
         let solution =
-            pipeline::solve_directional(&visibility, &emitters, cameras, what, observer, &mut stages)?;
+            pipeline::solve_directional(&visibility, &emitters, &view_points, what, observer, &mut stages)?;
         progress.line(&format!(
             "{} elements, {} directional values, {:.1} MiB, {} iterations",
             solution.elements(),
@@ -53,42 +63,59 @@ pub fn run(args: &RenderArgs) -> Result<()> {
             solution.bytes / f64::from(1 << 20),
             solution.iterations
         ));
-        let picture = pipeline::stage("trace", pixels, observer, &mut stages, || {
+        directional = Some(solution);
+    } else if let Some(kept) = &kept {
+        let views: Vec<&Camera> = cameras.iter().map(|c| &c.1).collect();
+        let unseen = pipeline::without_elements(&visibility, &kept.solution.mesh, &views);
+        unseen.iter().for_each(|w| progress.warn(w));
+        warnings.extend(unseen);
+    } else if matches!(settings.method, Method::TwoPass(_) | Method::Radiosity) {
+        let (limit, settings) = (args.memory.limit(), &pass1_settings);
+        let stages = &mut stages;
+        let result =
+            pipeline::solve_within(limit, &visibility, &emitters, &view_points, settings, observer, stages)?;
+        tell_factors(&progress, &result);
+        result.warnings.iter().for_each(|w| progress.warn(w));
+        warnings.extend(result.warnings.iter().cloned());
+        pass1 = Some(result);
+    }
+    let solution = kept.as_ref().map(|k| &k.solution).or(pass1.as_ref().map(|p| &p.solution));
+    let picture = |camera: &Camera| match &directional {
+        Some(solution) => {
             let samples = (settings.spp, settings.seed);
-            render_directional(&visibility, &emitters, &solution, &camera, samples, &advance)
-        });
-        (picture, solution.elements())
-    } else {
-        if matches!(settings.method, Method::TwoPass(_) | Method::Radiosity) {
-            let (limit, settings) = (args.memory.limit(), &pass1_settings);
-            let result = pipeline::solve_within(
-                limit,
-                &visibility,
-                &emitters,
-                cameras,
-                settings,
-                observer,
-                &mut stages,
-            )?;
-            tell_factors(&progress, &result);
-            result.warnings.iter().for_each(|w| progress.warn(w));
-            warnings.extend(result.warnings.iter().cloned());
-            pass1 = Some(result);
+            render_directional(&visibility, &emitters, solution, camera, samples, &advance)
         }
-        let solution = pass1.as_ref().map(|p| &p.solution);
-        let picture = pipeline::stage("trace", pixels, observer, &mut stages, || {
-            render(&visibility, &emitters, solution, &camera, &settings, &advance)
-        });
-        (picture, solution.map_or(0, |s| s.mesh.len()))
+        None => render(&visibility, &emitters, solution, camera, &settings, &advance),
     };
 
     let versions = Versions::new(&device);
     let options = WriteOptions { exposure: args.exposure, metadata: metadata(args, &versions, &settings) };
-    pipeline::stage("write", 0, observer, &mut stages, || {
-        (args.output.iter().try_for_each(|output| image::write(&picture, output, &options)), 0)
-    })?;
+    let pixels: u64 = cameras.iter().map(|(_, c)| u64::from(c.size[0]) * u64::from(c.size[1])).sum();
+    let mut frames = Vec::new();
+    if args.frames.is_some() {
+        frames = pipeline::stage("trace", pixels, observer, &mut stages, || {
+            let trace = |frame: u32| {
+                let k = (frame - cameras[0].0) as usize;
+                progress.tell(pipeline::Event::Item(k as u64 + 1, cameras.len() as u64));
+                picture(&cameras[k].1)
+            };
+            let write = |frame: u32, image: &Image| {
+                patterns.iter().try_for_each(|p| image::write(image, &p.file(frame), &options))
+            };
+            let times = render_frames(cameras.iter().map(|c| c.0), trace, write);
+            let rays = times.iter().flatten().map(|t| t.rays).sum();
+            (times, rays)
+        })?;
+        tell_frames(&progress, &frames, stages.last());
+    } else {
+        let image = pipeline::stage("trace", pixels, observer, &mut stages, || picture(&cameras[0].1));
+        pipeline::stage("write", 0, observer, &mut stages, || {
+            (args.output.iter().try_for_each(|output| image::write(&image, output, &options)), 0)
+        })?;
+    }
     let mut report = Report::new(&scene, versions, args.common.seed, stages, warnings);
-    report.elements = elements;
+    report.elements = directional.map_or(solution.map_or(0, |s| s.mesh.len()), |d| d.elements());
+    report.frames = frames;
     if let Some(result) = &pass1 {
         let pass1 = Pass1Report::new(&pass1_settings, result);
         progress.line(&format!(
@@ -100,10 +127,64 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         ));
         report.pass1 = Some(pass1);
     }
+    if let (Some(kept), Some(path)) = (kept, &args.solution) {
+        let file = path.display().to_string();
+        let mesh = &kept.solution.mesh;
+        progress.line(&format!(
+            "{} elements of at most {:.4} m, solved before",
+            mesh.len(),
+            mesh.element_size
+        ));
+        report.solution = Some(KeptReport { file, about: kept.about });
+    }
     if let Some(path) = &args.report {
         report.write(path)?;
     }
     Ok(())
+}
+
+/// Checks what is to be written; the names of the frames, where a path is rendered.
+fn outputs(args: &RenderArgs) -> Result<Vec<Pattern>> {
+    let Some(frames) = &args.frames else {
+        args.output.iter().try_for_each(|o| refuse_pattern(o))?;
+        args.output.iter().try_for_each(|o| image::supported(o))?;
+        check_outputs(&args.scene, args.output.iter().chain(&args.report))?;
+        return Ok(Vec::new());
+    };
+    let patterns: Vec<Pattern> = args.output.iter().map(|o| Pattern::new(o)).collect::<Result<_>>()?;
+    let first: Vec<PathBuf> = patterns.iter().map(|p| p.file(*frames.start())).collect();
+    first.iter().try_for_each(|o| image::supported(o))?;
+    check_outputs(&args.scene, first.iter().chain(&args.report))?;
+    Ok(patterns)
+}
+
+/// The camera, or that of each frame, with their numbers.
+fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(u32, Camera)>> {
+    let name = args.camera.as_deref();
+    let mut cameras = match &args.frames {
+        None => vec![(0, scene.camera(name)?.clone())],
+        Some(frames) => {
+            let path = scene.path(name)?;
+            check_range(path, frames)?;
+            frames.clone().map(|f| (f, path.at(f))).collect()
+        }
+    };
+    for (_, camera) in &mut cameras {
+        camera.size = args.size.unwrap_or(camera.size);
+    }
+    Ok(cameras)
+}
+
+/// Says how fast frames came, and whether the encoder held them up.
+fn tell_frames(progress: &Progress, frames: &[FrameTime], stage: Option<&Stage>) {
+    let seconds = stage.map_or(0.0, |s| s.seconds);
+    let write: f64 = frames.iter().map(|f| f.write_seconds).sum();
+    progress.line(&format!(
+        "{} frames, {:.2} a second; the encoder was busy {:.0} % of the time",
+        frames.len(),
+        frames.len() as f64 / seconds,
+        100.0 * write / seconds
+    ));
 }
 
 /// Says where form factors were not kept: the solve takes longer than a user may expect.

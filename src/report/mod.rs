@@ -17,6 +17,7 @@ use crate::output::write_whole;
 use crate::pipeline::{Pass1, Pass1Result, Residuals, Stage};
 use crate::radiosity::Ledger;
 use crate::scene::{Features, Scene};
+use crate::sequence::FrameTime;
 use crate::{Error, Result};
 use serde::Serialize;
 use std::path::Path;
@@ -186,6 +187,15 @@ fn albedo(s: &crate::radiosity::Solution, e: usize) -> crate::color::Rgb {
     crate::color::Rgb::new(ratio(r.x, h.x), ratio(r.y, h.y), ratio(r.z, h.z))
 }
 
+/// A solution that was not solved in this run.
+#[derive(Debug, Clone, Serialize)]
+pub struct KeptReport {
+    /// The file.
+    pub file: String,
+    /// Its settings, versions and pass 1, as they were written.
+    pub about: serde_json::Map<String, serde_json::Value>,
+}
+
 /// The whole report.
 #[derive(Debug, Clone, Serialize)]
 pub struct Report {
@@ -214,6 +224,12 @@ pub struct Report {
     /// Pass 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pass1: Option<Pass1Report>,
+    /// The file that pass 1 was taken from, and what was said about it there.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub solution: Option<KeptReport>,
+    /// Frame by frame, where a path was rendered.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub frames: Vec<FrameTime>,
     /// Form factors, where they are the result.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub form_factors: Option<FactorReport>,
@@ -247,6 +263,8 @@ impl Report {
             stages,
             rays_per_second: if seconds > 0.0 { rays as f64 / seconds } else { 0.0 },
             pass1: None,
+            solution: None,
+            frames: Vec::new(),
             form_factors: None,
             peak_memory_bytes: peak_memory(),
             warnings,
