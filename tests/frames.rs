@@ -1,0 +1,234 @@
+//! Many frames: pass 1 from a file, and cameras that move.
+
+use std::fs;
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+use twopass::image::read_exr;
+
+/// A box of one metre seen from within, a lamp under its ceiling and a screen in the middle.
+const ROOM: &str = "o cube\nusemtl wall\n\
+    v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nv 1 0 1\nv 1 1 1\nv 0 1 1\n\
+    f 1 5 6 2\nf 4 3 7 8\nf 1 2 3 4\nf 5 8 7 6\nf 1 4 8 5\nf 2 6 7 3\n\
+    o panel\nusemtl lamp\n\
+    v 0.3 0.9 0.3\nv 0.7 0.9 0.3\nv 0.7 0.9 0.7\nv 0.3 0.9 0.7\nf 9 10 11 12\n\
+    o screen\nusemtl screen\n\
+    v 0.2 0.1 0.4\nv 0.6 0.1 0.5\nv 0.6 0.6 0.5\nv 0.2 0.6 0.4\nf 13 14 15 16\n";
+const CAMERA: &str = "[camera]\nfov = 60\nsize = [12, 8]\n\
+    [[camera.keyframe]]\nframe = 1\norigin = [0.5, 0.4, 0.95]\ntarget = [0.5, 0.4, 0]\n\
+    [[camera.keyframe]]\nframe = 5\norigin = [0.3, 0.5, 0.9]\ntarget = [0.6, 0.4, 0]\nfov = 50\n\
+    [[camera.keyframe]]\nframe = 8\norigin = [0.7, 0.5, 0.9]\ntarget = [0.2, 0.4, 0]\n";
+const LAMP: &str = "[materials.lamp]\nemission = [3, 2, 1]\n";
+const QUICK: [&str; 4] = ["--rays", "64", "--element-size", "0.25"];
+const PASS2: [&str; 6] = ["--spp", "2", "--gather-rays", "8", "--quiet", "--seed=3"];
+
+struct Files(tempfile::TempDir);
+
+impl Files {
+    fn new(materials: &str) -> Files {
+        let files = Files(tempfile::tempdir().unwrap());
+        files.scene(&format!("{CAMERA}{LAMP}{materials}"));
+        fs::write(files.path("room.obj"), ROOM).unwrap();
+        files
+    }
+
+    fn diffuse() -> Files {
+        Files::new("[materials.wall]\ndiffuse = 0.5\n[materials.screen]\ndiffuse = [0.7, 0.3, 0.2]\n")
+    }
+
+    fn scene(&self, toml: &str) {
+        fs::write(self.path("scene.toml"), format!("geometry = [\"room.obj\"]\n{toml}")).unwrap();
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    /// Exit code and what was said.
+    #[track_caller]
+    fn run(&self, args: &[&[&str]]) -> (i32, String) {
+        let output = Command::new(env!("CARGO_BIN_EXE_twopass"))
+            .current_dir(self.0.path())
+            .args(args.concat())
+            .stdin(Stdio::null())
+            .output()
+            .unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert!(!said.contains("panicked"), "{args:?}: {said}");
+        (output.status.code().expect("no signal"), said)
+    }
+
+    #[track_caller]
+    fn done(&self, args: &[&[&str]]) -> String {
+        let (code, said) = self.run(args);
+        assert_eq!(code, 0, "{args:?}: {said}");
+        said
+    }
+
+    #[track_caller]
+    fn fails(&self, args: &[&[&str]], code: i32, parts: &[&str]) {
+        let (got, said) = self.run(args);
+        assert_eq!(got, code, "{args:?}: {said}");
+        parts.iter().for_each(|p| assert!(said.contains(p), "{args:?} should say {p:?}: {said}"));
+    }
+
+    fn solve(&self) {
+        self.done(&[&["solve", "scene.toml", "-o", "s.npz", "--seed=3", "--quiet"], &QUICK]);
+    }
+
+    fn pixels(&self, name: &str) -> Vec<u32> {
+        read_exr(&self.path(name)).unwrap().data.iter().map(|v| v.to_bits()).collect()
+    }
+}
+
+/// A picture from a kept solution is that of a run which solves, to the bit: diffuse, mirror with gloss and glass, translucent.
+#[test]
+fn a_kept_solution_gives_the_same_picture() {
+    let specular = "[materials.wall]\ndiffuse = 0.4\nspecular = [0.3, 0.2, 0.1]\nroughness = 0.4\n";
+    let scenes = [
+        Files::diffuse(),
+        Files::new(&format!("{specular}[materials.screen]\nspecular = 0.9\n")),
+        Files::new(&format!("{specular}[materials.screen]\nspecular_transmission = 1\nior = 1.5\n")),
+        Files::new(
+            "[materials.wall]\ndiffuse = 0.5\n[materials.screen]\ndiffuse = 0.3\ndiffuse_transmission = [0.5, 0.4, 0.3]\n",
+        ),
+    ];
+    for (k, files) in scenes.iter().enumerate() {
+        files.solve();
+        for quality in ["mesh", "direct", "gather"] {
+            let render = ["render", "scene.toml", "--quality", quality];
+            files.done(&[&render, &PASS2, &QUICK, &["-o", "a.exr"]]);
+            files.done(&[&render, &PASS2, &["-o", "b.exr", "--solution", "s.npz", "--threads", "1"]]);
+            let (a, b) = (files.pixels("a.exr"), files.pixels("b.exr"));
+            assert!(a == b && a.iter().any(|v| f32::from_bits(*v) > 0.0), "scene {k}, {quality}");
+        }
+    }
+}
+
+/// A frame does not depend on which others are rendered, nor on where pass 1 came from.
+#[test]
+fn frames_do_not_depend_on_the_range() {
+    let files = Files::diffuse();
+    files.solve();
+    let render = ["render", "scene.toml", "--quality", "direct"];
+    files.done(&[&render, &PASS2, &QUICK, &["--frames", "1..8", "-o", "a.%03d.exr", "--report", "r.json"]]);
+    files.done(&[&render, &PASS2, &["--frames", "5..6", "-o", "b_##.exr", "--solution", "s.npz"]]);
+    files.done(&[&render, &PASS2, &QUICK, &["--frames", "6", "-o", "c.%d.exr", "--threads", "1"]]);
+    assert_eq!(files.pixels("a.006.exr"), files.pixels("b_06.exr"));
+    assert_eq!(files.pixels("a.006.exr"), files.pixels("c.6.exr"));
+    assert_eq!(files.pixels("a.005.exr"), files.pixels("b_05.exr"));
+    assert_ne!(files.pixels("a.005.exr"), files.pixels("a.006.exr"));
+    let report: serde_json::Value = serde_json::from_slice(&fs::read(files.path("r.json")).unwrap()).unwrap();
+    let frames: Vec<_> =
+        report["frames"].as_array().unwrap().iter().map(|f| f["frame"].as_u64().unwrap()).collect();
+    assert_eq!(frames, (1..=8).collect::<Vec<_>>());
+    assert!(report["frames"][0]["trace_seconds"].as_f64().unwrap() > 0.0);
+
+    // A still shows the first keyframe where the camera itself says nothing.
+    files.done(&[&render, &PASS2, &QUICK, &["-o", "still.exr"]]);
+    assert_eq!(files.pixels("still.exr"), files.pixels("a.001.exr"));
+
+    // One frame cannot be written: those before it stay, and nothing else is left behind.
+    fs::create_dir(files.path("d.3.exr")).unwrap();
+    files.fails(
+        &[&render, &PASS2, &["--solution", "s.npz", "--frames", "1..8", "-o", "d.%d.exr"]],
+        1,
+        &["d.3.exr"],
+    );
+    let names = |start: &str| {
+        let names =
+            fs::read_dir(files.0.path()).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap());
+        let mut names: Vec<_> = names.filter(|n| n.starts_with(start)).collect();
+        names.sort();
+        names
+    };
+    assert_eq!(names("d."), ["d.1.exr", "d.2.exr", "d.3.exr"]);
+    assert!(names(".twopass").is_empty());
+}
+
+#[test]
+fn solutions_that_are_of_no_use() {
+    let files = Files::diffuse();
+    files.solve();
+    let toml = fs::read_to_string(files.path("scene.toml")).unwrap();
+    let render = ["render", "scene.toml", "-o", "a.exr", "--quality", "mesh", "--spp", "1"];
+    let fails = |name: &str, parts: &[&str]| files.fails(&[&render, &["--solution", name]], 1, parts);
+    fails("gone.npz", &["gone.npz", "No such file"]);
+    fails("room.obj", &["room.obj", "no solution file", "twopass solve scene.toml -o room.obj"]);
+    files.done(&[&["form-factors", "room.obj", "--by-object", "-o", "f.npz", "--quiet"], &QUICK]);
+    fails("f.npz", &["f.npz", "no solution", "twopass solve"]);
+
+    let whole = fs::read(files.path("s.npz")).unwrap();
+    for cut in [0, 1, 100, whole.len() / 2, whole.len() - 1] {
+        fs::write(files.path("t.npz"), &whole[..cut]).unwrap();
+        fails("t.npz", &["t.npz", "twopass solve"]);
+    }
+    // A flipped bit anywhere in the data of an array that is read is found by its checksum.
+    let at =
+        |name: &str| whole.windows(name.len()).position(|w| w == name.as_bytes()).unwrap() + name.len() + 150;
+    for name in ["radiosity.npy", "node_reflected.npy", "node_indirect.npy", "sides.npy", "meta.npy"] {
+        let mut damaged = whole.clone();
+        damaged[at(name)] ^= 1;
+        fs::write(files.path("t.npz"), damaged).unwrap();
+        fails("t.npz", &["t.npz", "damaged", name.trim_end_matches(".npy")]);
+    }
+
+    // What pass 1 depends on makes it stale; cameras and settings of pass 2 do not.
+    let stale =
+        ["s.npz", "stale", "twopass solve scene.toml -o s.npz --rays 64 --element-size 0.25 --seed 3"];
+    for (from, to) in [("diffuse = 0.5", "diffuse = 0.6"), ("[3, 2, 1]", "[3, 2, 2]")] {
+        files.scene(&toml.replace(from, to).replace("geometry = [\"room.obj\"]\n", ""));
+        fails("s.npz", &stale);
+    }
+    let rest = toml.replace("geometry = [\"room.obj\"]\n", "");
+    files.scene(&format!("{rest}[environment]\nradiance = 0.1\n"));
+    fails("s.npz", &stale);
+    fs::write(files.path("room.obj"), ROOM.replace("0.3 0.9 0.7", "0.3 0.9 0.6")).unwrap();
+    files.scene(&rest);
+    fails("s.npz", &stale);
+    fs::write(files.path("room.obj"), ROOM).unwrap();
+    files.scene(&format!("{}[render]\nspp = 1\n", rest.replace("fov = 60", "fov = 70")));
+    files.done(&[&render, &["--solution", "s.npz"]]);
+
+    // A camera outside sees sides that nothing reached.
+    files.scene(&format!(
+        "{LAMP}[materials.wall]\ndiffuse = 0.5\n[materials.screen]\ndiffuse = [0.7, 0.3, 0.2]\n\
+        [camera]\norigin = [0.5, 0.5, 5]\ntarget = [0.5, 0.5, 0]\nsize = [8, 8]\n"
+    ));
+    let said = files.done(&[&render, &["--solution", "s.npz"]]);
+    assert!(said.contains("warning: the camera sees") && said.contains("(cube)"), "{said}");
+
+    files.fails(&[&render, &["--solution", "s.npz", "--rays", "8"]], 2, &["--solution", "--rays"]);
+    files.fails(&[&render, &["--solution", "s.npz", "--method", "path"]], 2, &["no pass 1"]);
+}
+
+#[test]
+fn frames_that_cannot_be_rendered() {
+    let files = Files::diffuse();
+    let frames = |frames: &str, output: &str, code, parts: &[&str]| {
+        files.fails(&[&["render", "scene.toml", "--frames", frames, "-o", output], &QUICK], code, parts);
+    };
+    frames("1..3", "a.exr", 2, &["a.exr", "%04d"]);
+    frames("1..3", "a%d#.exr", 2, &["several places"]);
+    frames("1..3", "gone/a#.exr", 1, &["folder gone does not exist"]);
+    frames("1..3", "a#.bmp", 2, &["image format is unknown"]);
+    frames("3..1", "a#.exr", 2, &["A <= B"]);
+    frames("-1..1", "a#.exr", 2, &["A..B"]);
+    frames("0..3", "a#.exr", 2, &["--frames 0..3", "from frame 1 to frame 8"]);
+    frames("1..9", "a#.exr", 2, &["from frame 1 to frame 8"]);
+    files.fails(&[&["render", "scene.toml", "-o", "a.%04d.exr"]], 2, &["--frames"]);
+    let camera = |text: &str, parts: &[&str]| {
+        files.scene(&format!("[camera]\norigin = [0.5, 0.4, 0.95]\ntarget = [0.5, 0.4, 0]\n{text}\n{LAMP}"));
+        frames("1..3", "a#.exr", 1, parts);
+    };
+    camera("", &["has no keyframes", "[[camera.keyframe]]"]);
+    camera("keyframe = []", &["scene.toml", "empty list"]);
+    camera("[[camera.keyframe]]\norigin = [0, 0, 0]", &["scene.toml:5", "has no frame"]);
+    camera("[[camera.keyframe]]\nframe = 3\n[[camera.keyframe]]\nframe = 3", &["scene.toml:8", "greater"]);
+    camera("[[camera.keyframe]]\nframe = -3", &["scene.toml:6", "whole number from 0"]);
+    camera("[[camera.keyframe]]\nframe = 1\nfov = 180", &["scene.toml:7", "between 0 and 180"]);
+    // Half-way the eye meets its target.
+    camera(
+        "[[camera.keyframe]]\nframe = 1\n[[camera.keyframe]]\nframe = 3\norigin = [0.5, 0.4, -0.95]",
+        &["in frame 2", "same point"],
+    );
+}
