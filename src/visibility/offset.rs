@@ -26,6 +26,7 @@
 
 use crate::scene::{Face, Scene};
 use glam::{DVec2, DVec3};
+use rayon::prelude::*;
 use std::collections::HashMap;
 
 /// Half a unit in the last place of 1 in single precision.
@@ -85,10 +86,10 @@ fn own_offset(scene: &Scene, face: &Face) -> Offset {
 }
 
 /// Ends of an edge in single precision, bit by bit, the smaller first.
-type EdgeKey = [[u32; 3]; 2];
+pub(super) type EdgeKey = [[u32; 3]; 2];
 
 /// Every edge of every face, equal ones side by side: key, face, edge.
-fn shared_edges(scene: &Scene) -> Vec<(EdgeKey, u32, u8)> {
+pub(super) fn shared_edges(scene: &Scene) -> Vec<(EdgeKey, u32, u8)> {
     let mut edges = Vec::with_capacity(scene.faces.len() * 4);
     // Adding zero makes -0 and 0 one point.
     let at = |v: u32| (scene.vertices[v as usize].as_vec3() + glam::Vec3::ZERO).to_array().map(f32::to_bits);
@@ -99,7 +100,7 @@ fn shared_edges(scene: &Scene) -> Vec<(EdgeKey, u32, u8)> {
             edges.push((if a < b { [a, b] } else { [b, a] }, k as u32, c as u8));
         }
     }
-    edges.sort_unstable();
+    edges.par_sort_unstable();
     edges
 }
 

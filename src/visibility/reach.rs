@@ -6,8 +6,13 @@
 //! by straight segments to points that were found: one free segment proves that it is reachable.
 //! So a reachable side is missed only if it is hidden from every particle and every segment, and
 //! a ray of pass 1 that lands on such a side says so (see `form_factor`).
+//!
+//! Sides that meet over edges of exactly two faces look into one space: they form a **sheet**, such as the inside of a
+//! closed body. Of a sheet that nothing found, [`TRIED`] sides stand for all: they share more
+//! segments than its many sides would get one by one. Once one of them is found, each side is tried.
 
 use super::Visibility;
+use super::offset::shared_edges;
 use crate::bsdf;
 use crate::geometry::Frame;
 use crate::mesh::{Sides, side_index};
@@ -15,6 +20,7 @@ use crate::sampling::{self, cosine_hemisphere, seed_of, sobol};
 use crate::scene::CameraFrame;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 /// Surfaces that a particle visits at most.
 const STEPS: u32 = 12;
@@ -32,6 +38,12 @@ const MOST_WITNESSES: usize = 1 << 16;
 const GRAZING: f64 = 1e-4;
 /// Most particles, where few found something.
 const MOST_PARTICLES: u32 = 1 << 21;
+/// Points that particles leave behind, at most about.
+const MOST_SEEN: u32 = 1 << 19;
+/// Sides tried of a sheet of which none was found.
+const TRIED: u32 = 1 << 10;
+/// Sides not found from which on sheets are looked for.
+const MANY: usize = 1 << 12;
 /// Times that sides just found lead on to others.
 const MOST_ROUNDS: u32 = 4;
 /// Witnesses tried from the point where a ray from such a side lands.
@@ -53,9 +65,14 @@ pub fn reachable_sides(visibility: &Visibility, cameras: &[(CameraFrame, [u32; 2
         return Sides::all(scene);
     }
     let particles = (scene.faces.len() as u32).saturating_mul(8).clamp(1 << 15, MOST_PARTICLES);
-    let send = |range: std::ops::Range<u32>| -> Vec<Vec<(u32, DVec3)>> {
+    // How many particles found each side: sums, whatever their order.
+    let found: Vec<AtomicU32> = (0..2 * scene.faces.len()).map(|_| AtomicU32::new(0)).collect();
+    let count = |side: usize| found[side].load(Ordering::Relaxed);
+    // Returns the places where every so many-th particle landed.
+    let send = |range: std::ops::Range<u32>| -> Vec<(u32, DVec3)> {
         let sources = emitters.len() + cameras.len();
         let range = if sources > 0 { range } else { 0..0 };
+        let stride = (range.len() as u32 * STEPS).div_ceil(MOST_SEEN).max(1);
         let walk = |k: u32| {
             let source = k as usize % sources;
             let walker = Walker { visibility, seed: seed_of(&[seed, k, 0x7ea]) };
@@ -68,35 +85,28 @@ pub fn reachable_sides(visibility: &Visibility, cameras: &[(CameraFrame, [u32; 2
             };
             sides.sort_unstable_by_key(|(side, _)| *side);
             sides.dedup_by_key(|(side, _)| *side);
-            sides
+            sides.iter().for_each(|(side, _)| {
+                found[*side as usize].fetch_add(1, Ordering::Relaxed);
+            });
+            if k % stride == 0 { sides } else { Vec::new() }
         };
-        range.into_par_iter().with_min_len(1024).map(walk).collect()
+        range.into_par_iter().with_min_len(1024).flat_map_iter(walk).collect()
     };
-    let mut found = vec![0u32; 2 * scene.faces.len()];
-    let mut seen = Vec::new();
-    for (side, point) in send(0..particles).into_iter().flatten() {
-        found[side as usize] += 1;
-        seen.push((side, point));
-    }
+    let mut seen = send(0..particles);
     for &(face, front) in &emitters {
-        found[side_index(face, front)] = PROOF;
+        found[side_index(face, front)].store(PROOF, Ordering::Relaxed);
     }
-    let mut reached: Vec<bool> = found.iter().map(|&n| n >= PROOF).collect();
+    let mut reached: Vec<bool> = (0..found.len()).map(|side| count(side) >= PROOF).collect();
     connect(visibility, &mut reached, &seen, outside, seed);
     // A side that one or two particles found, and no segment, lies behind a crack or a keyhole: more of them tell.
     let mut sent = particles;
-    while sent < MOST_PARTICLES && found.iter().zip(&reached).any(|(&n, r)| n > 0 && !r) {
+    while sent < MOST_PARTICLES && (0..reached.len()).any(|side| !reached[side] && count(side) > 0) {
         let next = sent.saturating_mul(4).min(MOST_PARTICLES);
-        for (side, point) in send(sent..next).into_iter().flatten() {
-            if !reached[side as usize] {
-                found[side as usize] += 1;
-                seen.push((side, point));
-            }
-        }
+        seen.extend(send(sent..next).into_iter().filter(|(side, _)| !reached[*side as usize]));
         sent = next;
         let mut news = false;
-        for (r, &n) in reached.iter_mut().zip(&found).filter(|(r, n)| !**r && **n >= PROOF) {
-            *r = n >= PROOF;
+        for (side, r) in reached.iter_mut().enumerate().filter(|(side, r)| !**r && count(*side) >= PROOF) {
+            *r = count(side) >= PROOF;
             news = true;
         }
         if news {
@@ -104,6 +114,51 @@ pub fn reachable_sides(visibility: &Visibility, cameras: &[(CameraFrame, [u32; 2
         }
     }
     Sides(reached)
+}
+
+/// The sides to try of those that nothing found, in order: all, but of large sheets of which none was found a few.
+fn to_try(visibility: &Visibility, reached: &[bool], sheets: &mut Option<Vec<u32>>) -> Vec<u32> {
+    let missing: Vec<u32> = (0..reached.len() as u32).filter(|s| !reached[*s as usize]).collect();
+    if missing.len() <= MANY {
+        return missing;
+    }
+    let sheet = sheets.get_or_insert_with(|| sheets_of(visibility));
+    // Sides not found by sheet; none where some side was.
+    let mut left = vec![0u32; reached.len()];
+    missing.iter().for_each(|s| left[sheet[*s as usize] as usize] += 1);
+    (0..reached.len()).filter(|s| reached[*s]).for_each(|s| left[sheet[s] as usize] = 0);
+    let mut turn = vec![0u32; reached.len()];
+    let chosen = |s: &u32| {
+        let k = sheet[*s as usize] as usize;
+        let every = left[k].div_ceil(TRIED).max(1);
+        turn[k] += 1;
+        (turn[k] - 1) % every == 0
+    };
+    missing.into_iter().filter(chosen).collect()
+}
+
+/// The sheet of every side, named by one of its sides.
+fn sheets_of(visibility: &Visibility) -> Vec<u32> {
+    let scene = visibility.scene();
+    let mut parent: Vec<u32> = (0..2 * scene.faces.len() as u32).collect();
+    fn find(parent: &mut [u32], mut k: u32) -> u32 {
+        while parent[k as usize] != k {
+            parent[k as usize] = parent[parent[k as usize] as usize];
+            k = parent[k as usize];
+        }
+        k
+    }
+    for edge in shared_edges(scene).chunk_by(|a, b| a.0 == b.0) {
+        let [(_, a, i), (_, b, k)] = edge else { continue };
+        // Neighbours of one orientation run along their edge in opposite directions.
+        let start = |face: u32, corner: u8| scene.corner(&scene.faces[face as usize], corner.into()).as_vec3();
+        let turned = u32::from(start(*a, *i) == start(*b, *k));
+        for side in 0..2 {
+            let (x, y) = (find(&mut parent, 2 * a + side), find(&mut parent, 2 * b + (side ^ turned)));
+            parent[x.max(y) as usize] = x.min(y);
+        }
+    }
+    (0..parent.len() as u32).map(|k| find(&mut parent, k)).collect()
 }
 
 /// Adds the sides from which some segment to a point that was found, or a ray to the outside, is free.
@@ -122,19 +177,15 @@ fn connect(visibility: &Visibility, reached: &mut [bool], seen: &[(u32, DVec3)],
         })
         .collect();
     let mut witnesses = witnesses;
+    let mut sheets = None;
     for _ in 0..MOST_ROUNDS {
-        let missing = reached.iter().filter(|r| !**r).count().max(1) as u32;
+        let tried = to_try(visibility, reached, &mut sheets);
+        let missing = tried.len().max(1) as u32;
         let segments = (SEGMENTS / missing).clamp(SEGMENTS_OF_ONE.0, SEGMENTS_OF_ONE.1);
         let rays = (RAYS / missing).clamp(RAYS_OF_ONE.0, RAYS_OF_ONE.1);
         let work = Work { rays, segments, outside };
-        let news: Vec<(usize, Place)> = (0..reached.len())
-            .into_par_iter()
-            .filter(|&s| !reached[s])
-            .filter_map(|s| {
-                let place = connects(visibility, s as u32, &witnesses, &work, seed)?;
-                Some((s, place))
-            })
-            .collect();
+        let try_one = |s: u32| Some((s as usize, connects(visibility, s, &witnesses, &work, seed)?));
+        let news: Vec<(usize, Place)> = tried.into_par_iter().filter_map(try_one).collect();
         if news.is_empty() {
             return;
         }
