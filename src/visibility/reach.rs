@@ -151,7 +151,8 @@ fn sheets_of(visibility: &Visibility) -> Vec<u32> {
     for edge in shared_edges(scene).chunk_by(|a, b| a.0 == b.0) {
         let [(_, a, i), (_, b, k)] = edge else { continue };
         // Neighbours of one orientation run along their edge in opposite directions.
-        let start = |face: u32, corner: u8| scene.corner(&scene.faces[face as usize], corner.into()).as_vec3();
+        let start =
+            |face: u32, corner: u8| scene.corner(&scene.faces[face as usize], corner.into()).as_vec3();
         let turned = u32::from(start(*a, *i) == start(*b, *k));
         for side in 0..2 {
             let (x, y) = (find(&mut parent, 2 * a + side), find(&mut parent, 2 * b + (side ^ turned)));
