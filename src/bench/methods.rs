@@ -9,7 +9,7 @@ use super::view::{ERROR, FIRST, Frame, SPP, View, settings};
 use super::{Context, Measurements};
 use crate::Result;
 use crate::emitters::Emitters;
-use crate::image::{png, srgb_bytes};
+use crate::image::{Image, png, srgb_bytes};
 use crate::pipeline::{self, Pass1};
 use crate::render::{Method, Quality, render_directional};
 use crate::report::text;
@@ -18,6 +18,8 @@ use std::time::Instant;
 
 const DIRECTIONS: &str = "directions";
 const STORED: &str = "values stored for directions";
+/// What elements and directions blur: the error that the mean of many solutions would keep.
+const BLUR: &str = "relative RMSE without noise";
 /// Samples a pixel of pictures by directional radiosity, which interpolate between its elements and directions.
 const FRAME_SPP: u32 = 16;
 
@@ -266,25 +268,28 @@ fn sharpness(context: &Context, figures: &mut Vec<Figure>) -> Result<Subject> {
         "sharpness",
         "Directions and the sharpness of a highlight",
         "The same box without the mirror, lit by the whole of its ceiling (no lamp small enough to slip between directions), its floor \
-         from rough to shiny, and only the pixels that show the floor. Directional radiosity \
-         needs the more directions the sharper the floor reflects, and every direction costs a value and a ray for every specular \
-         element. The two-pass method stands beside it with the same elements.",
+         from rough to shiny and not diffuse, and only the pixels that show the floor. Every direction costs a value and a ray for \
+         every specular element. A single solution has noise, as its rays are few, most where the lobe is wide; \
+         the error without noise is the mean product of the errors of solutions with independent seeds: what the size of elements and directions blurs. \
+         The two-pass method stands beside it with the same elements.",
     );
     for &roughness in roughnesses {
         with_view(context, (roughness, Glossy::Ceiling, width, spp), |view| {
             let specular = sees_specular(view.visibility, view.camera);
             let mask: Vec<bool> = specular.iter().zip(&view.reference.mask).map(|(a, b)| *a && *b).collect();
-            for round in 0..context.choose(1, 2) {
+            let name = format!("directional, roughness {roughness}");
+            let mut images = vec![Vec::new(); directions.len()];
+            for round in 0..context.choose(2, 4) {
                 let seed = context.settings.seed.wrapping_add(round);
                 (context.observer)(&format!("methods: roughness {roughness}, seed {seed}"));
                 let pass1 = Pass1 { rays: context.choose(256, 1024), element_size, seed };
-                let name = format!("directional, roughness {roughness}");
-                for &n in directions {
+                for (&n, images) in directions.iter().zip(&mut images) {
                     let (frame, before, stored, bytes) = directional(view, &pass1, n)?;
                     view.record(&mut subject, (&name, DIRECTIONS, f64::from(n)), &frame, before, &mask)?;
                     let point = subject.series(&name, DIRECTIONS).at(f64::from(n));
                     point.push(STORED, Unit::Count, stored);
                     point.push("memory for directions", Unit::Bytes, bytes);
+                    images.push(frame.image);
                 }
                 let (solution, before) = view.solve(&pass1)?;
                 let frame = view.frame(&settings(Method::TwoPass(Quality::Gather), 4, seed), Some(&solution));
@@ -296,6 +301,10 @@ fn sharpness(context: &Context, figures: &mut Vec<Figure>) -> Result<Subject> {
                     &mask,
                 )?;
             }
+            for (&n, images) in directions.iter().zip(&images) {
+                let blur = without_noise(images, &view.reference.halves, &mask);
+                subject.series(&name, DIRECTIONS).at(f64::from(n)).push(BLUR, Unit::Share, blur);
+            }
             Ok(())
         })?;
     }
@@ -303,9 +312,14 @@ fn sharpness(context: &Context, figures: &mut Vec<Figure>) -> Result<Subject> {
     let names: Vec<&str> = swept.iter().map(String::as_str).collect();
     for (title, y, about) in [
         (
-            "Error over directions",
+            "What directions blur",
+            BLUR,
+            "The error without noise. The shinier the floor, the more directions until it comes down to what the elements can show.",
+        ),
+        (
+            "Error of one solution",
             ERROR,
-            "The shinier the floor, the more directions until the error comes down to what the elements can show.",
+            "With its noise, which is largest where a wide lobe is sampled by few rays.",
         ),
         ("Time over directions", FIRST, "Links and values grow in proportion to the directions."),
     ] {
@@ -315,13 +329,32 @@ fn sharpness(context: &Context, figures: &mut Vec<Figure>) -> Result<Subject> {
     Ok(subject)
 }
 
+/// Relative RMSE that the mean of ever more such images would keep: the mean over pairs of images and over the pixels
+/// of `mask` of the product of their errors, each against another half of the reference; 0 where noise hides it.
+fn without_noise(images: &[Image], halves: &[Image; 2], mask: &[bool]) -> f64 {
+    let [a, b] = halves;
+    let (mut square, mut mean, mut n) = (0.0, 0.0, 0.0);
+    let pairs =
+        (0..images.len()).flat_map(|i| (0..images.len()).filter(move |j| i != *j).map(move |j| (i, j)));
+    for (i, j) in pairs {
+        let (x, y) = (&images[i].data, &images[j].data);
+        for k in (0..x.len()).filter(|k| mask[k / 3]) {
+            let [x, y, a, b] = [x[k], y[k], a.data[k], b.data[k]].map(f64::from);
+            square += (x - a) * (y - b);
+            mean += 0.5 * (a + b);
+            n += 1.0;
+        }
+    }
+    if mean > 0.0 { (square.max(0.0) / n).sqrt() * n / mean } else { 0.0 }
+}
+
 /// Directions and time that each roughness needs for the smallest error that all of them reach.
 fn needed(subject: &mut Subject, roughnesses: &[f64], figures: &mut Vec<Figure>) {
     let series_of = |subject: &Subject, r: f64| -> Option<Series> {
         subject.series.iter().find(|s| s.name == format!("directional, roughness {r}")).cloned()
     };
     let least = |s: &Series| {
-        let errors = s.points.iter().filter_map(|p| p.summary(ERROR)).map(|s| s.median);
+        let errors = s.points.iter().filter_map(|p| p.summary(BLUR)).map(|s| s.median);
         errors.fold(f64::INFINITY, f64::min)
     };
     let all: Vec<Series> = roughnesses.iter().filter_map(|r| series_of(subject, *r)).collect();
@@ -329,7 +362,7 @@ fn needed(subject: &mut Subject, roughnesses: &[f64], figures: &mut Vec<Figure>)
     let name = "directional, to equal error";
     let mut needs = Vec::new();
     for (series, &roughness) in all.iter().zip(roughnesses) {
-        let at = |wanted| series.where_reached(PARAMETER, (ERROR, level), wanted);
+        let at = |wanted| series.where_reached(PARAMETER, (BLUR, level), wanted);
         let (Some((directions, at_once)), Some((seconds, _))) = (at(PARAMETER), at(FIRST)) else { continue };
         let point = subject.series(name, "roughness").at(roughness);
         point.push("directions needed", Unit::Count, directions);
@@ -344,7 +377,7 @@ fn needed(subject: &mut Subject, roughnesses: &[f64], figures: &mut Vec<Figure>)
     if let (Some(first), Some(last)) = (needs.first(), needs.last()) {
         let words: Vec<&str> = needs.iter().map(|n| n.2.as_str()).collect();
         subject.notes.push(format!(
-            "For an error of {}, the least that every roughness reached, directional radiosity needs this many directions: {}.",
+            "For an error without noise of {}, the least that every roughness reached, directional radiosity needs this many directions: {}.",
             text::value(level, Unit::Share),
             words.join(", ")
         ));
@@ -354,7 +387,7 @@ fn needed(subject: &mut Subject, roughnesses: &[f64], figures: &mut Vec<Figure>)
             samples: vec![last.1 / first.1],
         });
     }
-    let about = "Directions that directional radiosity needs for the same error, the least that every roughness reached. Sharper towards the \
+    let about = "Directions that directional radiosity needs for the same error without noise, the least that every roughness reached. Sharper towards the \
                  left; the solid angle of a lobe grows with the fourth power of its roughness.";
     let chart = Chart::new("Directions needed over roughness", PARAMETER, "directions needed", about);
     subject.charts.push(chart.only(&[name]).fitted(&subject.series));
@@ -373,7 +406,25 @@ mod tests {
             let point = subject.series(name, parameter).at(at);
             point.push(FIRST, Unit::Seconds, seconds);
             point.push(ERROR, Unit::Share, error);
+            point.push(BLUR, Unit::Share, error);
         }
+    }
+
+    /// Images that are 10 % too bright, and noisy besides: noises of independent images cancel (one is +x, the other has
+    /// no noise), the 10 % stay. A pixel outside of the mask is far off.
+    #[test]
+    fn noise_does_not_count_as_blur() {
+        let image = |v: [f32; 4]| Image {
+            width: 2,
+            height: 2,
+            channels: 3,
+            data: v.iter().flat_map(|v| [*v; 3]).collect(),
+        };
+        let reference = [image([1.0; 4]), image([1.0; 4])];
+        let images = [image([1.3, 0.9, 1.1, 9.0]), image([1.1, 1.1, 1.1, 9.0])];
+        let mask = [true, true, true, false];
+        // Mean of (0.3, -0.1, 0.1) * 0.1 = 0.01.
+        assert!((without_noise(&images, &reference, &mask) - 0.1).abs() < 1e-6);
     }
 
     /// Errors that fall with the root of the directions, from 0.4 (rough) and 1.6 (sharp) at 16: to an error of 0.2 they need
@@ -435,7 +486,8 @@ mod tests {
                 changed(object)
             );
             assert_eq!([changed("back_wall").1, changed("short_box").1], [0, 0]);
-            let glossy = |m: &&crate::scene::Material| m.is_specular() && m.is_diffuse();
+            let glossy =
+                |m: &&crate::scene::Material| m.is_specular() && m.is_diffuse() == (with == Glossy::Mirror);
             assert_eq!(scene.materials.iter().filter(glossy).count(), 1);
         }
     }

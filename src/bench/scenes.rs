@@ -38,13 +38,13 @@ pub enum Glossy {
     Ceiling,
 }
 
-/// The Cornell box with a glossy floor of this roughness.
+/// The Cornell box with a glossy floor of this roughness, which is diffuse too unless the ceiling glows.
 pub fn glossy_cornell(roughness: f64, with: Glossy) -> Result<Scene> {
     let folder = tempfile::tempdir().map_err(|e| Error::io(std::env::temp_dir(), e))?;
     write_embedded("cornell", folder.path())?;
-    let (object, material, entries) = match with {
-        Glossy::Mirror => ("tall_box", "mirror", "diffuse = 0.0\nspecular = 0.9\nroughness = 0"),
-        Glossy::Ceiling => ("ceiling", "glow", "diffuse = 0.5\nemission = 1.0"),
+    let (object, material, entries, diffuse) = match with {
+        Glossy::Mirror => ("tall_box", "mirror", "diffuse = 0.0\nspecular = 0.9\nroughness = 0", 0.3),
+        Glossy::Ceiling => ("ceiling", "glow", "diffuse = 0.5\nemission = 1.0", 0.0),
     };
     let change = |file: &str, change: &dyn Fn(&str) -> String| {
         let path = folder.path().join(file);
@@ -57,7 +57,7 @@ pub fn glossy_cornell(roughness: f64, with: Glossy) -> Result<Scene> {
     })?;
     change("cornell.toml", &|toml| {
         format!(
-            "{toml}\n[materials.gloss]\ndiffuse = 0.3\nspecular = 0.5\nroughness = {roughness:?}\n\
+            "{toml}\n[materials.gloss]\ndiffuse = {diffuse:?}\nspecular = 0.5\nroughness = {roughness:?}\n\
              [materials.{material}]\n{entries}\n"
         )
     })?;

@@ -188,6 +188,11 @@ impl<'m> Specular<'m> {
         self.material.specular + if self.is_matched() { Rgb::ZERO } else { self.glass }
     }
 
+    /// Light passes through the surface.
+    pub fn is_glass(&self) -> bool {
+        self.material.is_glass()
+    }
+
     /// GGX width of the lobes.
     pub fn alpha(&self) -> f64 {
         self.alpha

@@ -3,7 +3,7 @@
 use super::{Context, Estimator, Method, Sampler, lobe};
 use crate::bsdf::{Scatter, Specular};
 use crate::color::{self, Rgb};
-use crate::emitters::{connect, mis_share};
+use crate::emitters::{Connection, connect, mis_share};
 use crate::visibility::SurfacePoint;
 use glam::{DVec3, Vec3};
 
@@ -34,9 +34,21 @@ struct Sight {
     glossy: u32,
     /// Diffuse light at the method's own quality.
     fine: bool,
-    /// Density of the direction and the numbers of lobe rays and emitter samples that shared the
-    /// lobe, where an emitter at the end has been sampled too.
-    shared: Option<(f64, f64, f64)>,
+    /// What emitter samples have found of the emitters at its end, straight and by one flat mirror.
+    shared: Option<Shared>,
+}
+
+/// A ray of a glossy lobe whose emitters have been sampled too.
+#[derive(Clone, Copy)]
+struct Shared {
+    /// Density of its direction [sr^-1].
+    density: f64,
+    /// Rays of the lobe.
+    rays: f64,
+    /// Emitter samples of the lobe.
+    samples: f64,
+    /// Its length up to the mirror that it met, whose images of the emitters were sampled.
+    to_mirror: Option<f64>,
 }
 
 impl Context<'_, '_> {
@@ -64,9 +76,14 @@ impl Context<'_, '_> {
         let material = self.scene.material(&self.scene.faces[hit.face as usize]);
         let mut radiance = Rgb::ZERO;
         if let Some((emitted, density)) = self.emitters.at(hit.face, hit.front) {
-            let share = sight.shared.map_or(1.0, |(p, n, m)| {
-                let r2 = at.point.distance_squared(sight.origin.as_dvec3());
-                mis_share(n, p, m, density * r2 / -sight.direction.dot(at.geometric))
+            let share = sight.shared.map_or(1.0, |s| {
+                let r = s.to_mirror.unwrap_or(0.0) + at.point.distance(sight.origin.as_dvec3());
+                mis_share(
+                    s.rays,
+                    s.density,
+                    s.samples,
+                    density * r * r / sight.direction.dot(at.geometric).abs(),
+                )
             });
             radiance += emitted * share;
         }
@@ -122,13 +139,18 @@ impl Context<'_, '_> {
             scale /= survive;
         }
         let side = if s.transmitted { -at.geometric } else { at.geometric };
+        let image = |shared: &Shared| shared.to_mirror.is_none() && self.emitters.is_image_mirror(at.face);
+        let shared = sight.shared.filter(image).map(|shared| {
+            let length = at.point.distance(sight.origin.as_dvec3());
+            Shared { to_mirror: Some(length), ..shared }
+        });
         let next = Sight {
             origin: self.visibility.leave(at.face, at.point, side),
             direction: s.direction,
             from: at.face,
             depth: sight.depth + 1,
             weight: weight.max(WEAK),
-            shared: None,
+            shared,
             ..*sight
         };
         scale * self.see(&next, sampler)
@@ -158,7 +180,12 @@ impl Context<'_, '_> {
         for k in 0..n {
             let u = sampler.split(3, k, n);
             let Some(s) = surface.sample_glossy([u[0], u[1], u[2]]) else { continue };
-            let shared = (samples > 0).then_some((s.density, f64::from(n), f64::from(samples)));
+            let shared = (samples > 0).then_some(Shared {
+                density: s.density,
+                rays: f64::from(n),
+                samples: f64::from(samples),
+                to_mirror: None,
+            });
             let Some(mut next) = self.glossy(at, s.direction, surface, sight, shared) else { continue };
             let mut scale = s.weight / f64::from(n);
             if next.weight < WEAK {
@@ -172,22 +199,55 @@ impl Context<'_, '_> {
             sum += scale * self.see(&next, sampler.branch_split(6, k, n));
         }
         for k in 0..samples {
-            let u = sampler.split(4, k, samples);
-            let Some(sample) = self.emitters.sample(self.scene, [u[2], u[0], u[1]]) else { break };
-            let toward = sample.point - at.point;
-            let side = if toward.dot(at.geometric) > 0.0 { at.geometric } else { -at.geometric };
-            let Some(c) = connect(at.point, side, &sample) else { continue };
+            sum += self.emitters_in_lobe(surface, at, (n, samples), sampler.split(4, k, samples));
+        }
+        sum
+    }
+
+    /// One of `samples` samples of the emitters, straight and by their mirror images, in a glossy lobe that `rays` rays
+    /// sample too; `u` in [0, 1)^3.
+    fn emitters_in_lobe(
+        &self,
+        surface: &Specular,
+        at: &SurfacePoint,
+        (rays, samples): (u32, u32),
+        u: [f64; 4],
+    ) -> Rgb {
+        let Some(sample) = self.emitters.sample(self.scene, [u[2], u[0], u[1]]) else { return Rgb::ZERO };
+        let (rays, samples) = (f64::from(rays), f64::from(samples));
+        let weigh = |c: &Connection, side: DVec3| {
             let (value, density) = surface.glossy(c.direction);
             // Shading and geometric normal must agree about the side.
             if value == Rgb::ZERO || surface.is_below(c.direction) != (side != at.geometric) {
-                continue;
+                return Rgb::ZERO;
             }
-            let share = mis_share(f64::from(samples), c.density, f64::from(n), density);
+            let share = mis_share(samples, c.density, rays, density);
+            value * c.irradiance * (share / (c.direction.dot(side) * samples))
+        };
+        let mut sum = Rgb::ZERO;
+        let sides: &[f64] = if surface.is_glass() { &[1.0, -1.0] } else { &[1.0] };
+        for side in sides.iter().map(|sign| *sign * at.geometric) {
             let origin = self.visibility.leave(at.face, at.point, side);
-            let segment = self.visibility.segment(origin, sample.face, sample.point, sample.normal);
-            self.cast(1);
-            if self.visibility.unoccluded(&segment) {
-                sum += value * sample.radiance * (share / (c.density * f64::from(samples)));
+            if let Some(c) = connect(at.point, side, &sample) {
+                let light = weigh(&c, side);
+                let segment = self.visibility.segment(origin, sample.face, sample.point, sample.normal);
+                if light.max_element() > 0.0 {
+                    self.cast(1);
+                    if self.visibility.unoccluded(&segment) {
+                        sum += light;
+                    }
+                }
+            }
+            if self.emitters.has_images() {
+                self.emitters.images(self.scene, at.point, side, &sample, |mirror, window, c| {
+                    let light = weigh(&c, side);
+                    if light.max_element() > 0.0 {
+                        self.cast(2);
+                        if self.emitters.image_visible(self.visibility, origin, mirror, window, &sample) {
+                            sum += light;
+                        }
+                    }
+                });
             }
         }
         sum
@@ -200,7 +260,7 @@ impl Context<'_, '_> {
         direction: DVec3,
         surface: &Specular,
         sight: &Sight,
-        shared: Option<(f64, f64, f64)>,
+        shared: Option<Shared>,
     ) -> Option<Sight> {
         let transmitted = surface.is_below(direction);
         let side = if transmitted { -at.geometric } else { at.geometric };
