@@ -96,7 +96,8 @@ pub struct RenderArgs {
     /// Where two-pass rendering takes diffuse light from [default: gather, or the scene file's].
     #[arg(long, value_enum)]
     pub quality: Option<QualityArg>,
-    /// Samples a pixel [default: 16, 256 for path, or the scene file's].
+    /// Samples a pixel [default: 16, 256 for path, or the scene file's]. At quality gather, a pixel that sees a mirror or glass
+    /// takes eight for each of them, with an eighth of the hemisphere rays.
     #[arg(long, value_name = "N", value_parser = count, allow_negative_numbers = true)]
     pub spp: Option<u32>,
     /// Hemisphere rays a sample at quality gather.
