@@ -156,21 +156,58 @@ fn oiio() {
         );
     };
 
-    let bindings =
-        builder("ffi/oiio_shim.h", &library).allowlist_function("twopass_.*").allowlist_type("Twopass.*");
+    println!("cargo::rustc-env=TWOPASS_OIIO_BUILT={}", oiio_version(&library));
+
+    // Bound as a library that the program loads when the first image is written or read: the 250 libraries that
+    // OpenImageIO brings take a third of a second to load, more than many a command does otherwise.
+    let bindings = builder("ffi/oiio_shim.h", &library)
+        .allowlist_function("twopass_.*")
+        .allowlist_type("Twopass.*")
+        .dynamic_library_name("Shim")
+        .dynamic_link_require_all(true);
     generate(bindings, "oiio.rs");
 
     let mut shim = cc::Build::new();
     // OpenImageIO's own headers warn.
-    shim.cpp(true).std("c++17").file("ffi/oiio_shim.cpp").includes(&library.include).warnings(false);
-    compile(&shim, "twopass_oiio_shim");
-    library.link(&["OpenImageIO", "OpenImageIO_Util"]);
+    shim.cpp(true)
+        .std("c++17")
+        .file("ffi/oiio_shim.cpp")
+        .includes(&library.include)
+        .warnings(false)
+        .pic(true);
+    let name = "twopass_oiio_shim";
+    let objects = shim.try_compile_intermediates().unwrap_or_else(|error| not_compiled(name, &error));
+    let file = PathBuf::from(env::var_os("OUT_DIR").unwrap_or_default()).join("twopass_oiio_shim.so");
+    let mut linker = shim.get_compiler().to_command();
+    linker.arg("-shared").arg("-o").arg(&file).args(objects);
+    for dir in &library.link {
+        linker.arg("-L").arg(dir).arg(format!("-Wl,-rpath,{}", dir.display()));
+    }
+    match linker.args(["-lOpenImageIO", "-lOpenImageIO_Util"]).output() {
+        Ok(output) if output.status.success() => {}
+        Ok(output) => not_compiled(name, &String::from_utf8_lossy(&output.stderr)),
+        Err(error) => not_compiled(name, &error),
+    }
+}
+
+/// The version that the headers of OpenImageIO state.
+fn oiio_version(library: &Library) -> String {
+    let usual = PathBuf::from("/usr/include");
+    let header = library.include.iter().chain([&usual]).map(|d| d.join("OpenImageIO/oiioversion.h"));
+    let text = header.filter_map(|path| std::fs::read_to_string(path).ok()).next().unwrap_or_default();
+    let number = |part: &str| {
+        let define = format!("#define OIIO_VERSION_{part} ");
+        text.lines().find_map(|l| l.strip_prefix(&define)).unwrap_or("?").trim().to_string()
+    };
+    ["MAJOR", "MINOR", "PATCH"].map(number).join(".")
 }
 
 fn compile(shim: &cc::Build, name: &str) {
-    if let Err(error) = shim.try_compile(name) {
-        fail(&format!("{name} did not compile; the package g++ has the compilers it needs ({error})"));
-    }
+    shim.try_compile(name).unwrap_or_else(|error| not_compiled(name, &error));
+}
+
+fn not_compiled(name: &str, error: &dyn std::fmt::Display) -> ! {
+    fail(&format!("{name} did not compile; the package g++ has the compilers it needs ({error})"))
 }
 
 fn builder(header: &str, library: &Library) -> bindgen::Builder {

@@ -28,6 +28,8 @@ pub fn run(args: &RenderArgs) -> Result<()> {
             "--solution is for --method two-pass and radiosity: others have no pass 1".into(),
         ));
     }
+    // Beside pass 1, which does not need it.
+    std::thread::spawn(image::ready);
     let progress = Progress::new(args.common.quiet);
     let observer = &|e| progress.tell(e);
     let mut stages: Vec<Stage> = Vec::new();
@@ -88,6 +90,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         None => render(&visibility, &emitters, solution, camera, &settings, &advance),
     };
 
+    image::ready()?;
     let versions = Versions::new(&device);
     let options = WriteOptions { exposure: args.exposure, metadata: metadata(args, &versions, &settings) };
     let pixels: u64 = cameras.iter().map(|(_, c)| u64::from(c.size[0]) * u64::from(c.size[1])).sum();

@@ -2,6 +2,9 @@
 //!
 //! OpenImageIO encodes to memory and this module writes the bytes: every failure of the disk is
 //! seen, and a file appears under its name only when it is whole.
+//!
+//! The program holds the shim as a shared library and loads it, and OpenImageIO with it, when it is first
+//! needed: who solves or asks for form factors does not wait for it.
 
 #![allow(unsafe_code)]
 
@@ -11,9 +14,19 @@ use crate::error::{Error, Result};
 use crate::output;
 use std::ffi::{CStr, CString, c_char};
 use std::fs::File;
+use std::io::Write;
+use std::os::fd::AsRawFd;
 use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
 use std::ptr::{self, NonNull};
+use std::sync::OnceLock;
+
+/// The shim as build.rs linked it.
+const SHIM: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/twopass_oiio_shim.so"));
+/// The version of OpenImageIO whose headers the shim was made from.
+const BUILT: &str = env!("TWOPASS_OIIO_BUILT");
+
+static LOADED: OnceLock<std::result::Result<sys::Shim, String>> = OnceLock::new();
 
 mod sys {
     //! What bindgen made of the shim's header.
@@ -23,6 +36,7 @@ mod sys {
         non_upper_case_globals,
         missing_docs,
         dead_code,
+        unsafe_op_in_unsafe_fn,
         clippy::all
     )]
     include!(concat!(env!("OUT_DIR"), "/oiio.rs"));
@@ -71,11 +85,34 @@ fn image_error(path: &Path, message: impl Into<String>) -> Error {
     Error::Image { path: path.into(), message: message.into() }
 }
 
-/// The version of OpenImageIO that runs, for example `2.5.18`.
+/// Loads OpenImageIO where that has not happened yet.
+///
+/// Takes a third of a second the first time. An error says what the system's loader says.
+pub fn ready() -> Result<()> {
+    shim().map(|_| ())
+}
+
+fn shim() -> Result<&'static sys::Shim> {
+    let loaded = LOADED.get_or_init(|| load().map_err(|e| e.to_string()));
+    loaded.as_ref().map_err(|e| Error::scene("OpenImageIO", format!("it cannot be loaded: {e}")))
+}
+
+/// Loads the shim from memory that has a file's name: it needs no file of its own that could be lost or replaced.
+fn load() -> std::result::Result<sys::Shim, Box<dyn std::error::Error>> {
+    let memory = rustix::fs::memfd_create("twopass_oiio_shim", rustix::fs::MemfdFlags::CLOEXEC)?;
+    let mut file = File::from(memory);
+    file.write_all(SHIM)?;
+    // SAFETY: the file holds the library that build.rs linked from the shim whose header the bindings were made from.
+    // The initialisers that run are OpenImageIO's and those of its dependencies, which may run on any thread.
+    Ok(unsafe { sys::Shim::new(format!("/proc/self/fd/{}", file.as_raw_fd()))? })
+}
+
+/// The version of OpenImageIO that runs, for example `2.5.18`; where none is loaded, the one that this program was built for.
 pub fn version() -> String {
+    let Some(Ok(shim)) = LOADED.get() else { return BUILT.into() };
     let mut text: [c_char; 32] = [0; 32];
     // SAFETY: the shim writes at most the given size, with its terminator.
-    unsafe { sys::twopass_oiio_version(text.as_mut_ptr(), text.len()) };
+    unsafe { shim.twopass_oiio_version(text.as_mut_ptr(), text.len()) };
     message(&text)
 }
 
@@ -130,14 +167,14 @@ pub fn read(path: &Path) -> Result<Image> {
 }
 
 /// Bytes that the shim owns.
-struct Bytes(NonNull<sys::TwopassBytes>);
+struct Bytes(&'static sys::Shim, NonNull<sys::TwopassBytes>);
 
 impl Bytes {
     fn as_slice(&self) -> &[u8] {
         // SAFETY: the handle is live for as long as `self`, and its bytes do not change.
         unsafe {
             let (data, size) =
-                (sys::twopass_bytes_data(self.0.as_ptr()), sys::twopass_bytes_size(self.0.as_ptr()));
+                (self.0.twopass_bytes_data(self.1.as_ptr()), self.0.twopass_bytes_size(self.1.as_ptr()));
             if data.is_null() { &[] } else { std::slice::from_raw_parts(data, size) }
         }
     }
@@ -146,7 +183,7 @@ impl Bytes {
 impl Drop for Bytes {
     fn drop(&mut self) {
         // SAFETY: the handle came from `twopass_encode` and is freed once.
-        unsafe { sys::twopass_bytes_free(self.0.as_ptr()) }
+        unsafe { self.0.twopass_bytes_free(self.1.as_ptr()) }
     }
 }
 
@@ -218,27 +255,29 @@ fn encode_samples(
         attributes: attributes.as_ptr(),
         attribute_count: attributes.len(),
     };
+    let shim = shim()?;
     let mut error: [c_char; 512] = [0; 512];
     // SAFETY: the strings, attributes and pixels that `what` points to outlive the call, the pixels
     // number width * height * channels of the stated type, and the buffer has the stated size.
-    let bytes = unsafe { sys::twopass_encode(&what, error.as_mut_ptr(), error.len()) };
-    NonNull::new(bytes).map(Bytes).ok_or_else(|| image_error(path, message(&error)))
+    let bytes = unsafe { shim.twopass_encode(&what, error.as_mut_ptr(), error.len()) };
+    NonNull::new(bytes).map(|bytes| Bytes(shim, bytes)).ok_or_else(|| image_error(path, message(&error)))
 }
 
 /// An open image file.
-struct Reader(NonNull<sys::TwopassReader>);
+struct Reader(&'static sys::Shim, NonNull<sys::TwopassReader>);
 
 impl Reader {
     fn open(path: &Path) -> Result<(Reader, sys::TwopassHeader)> {
         let name = CString::new(path.as_os_str().as_bytes())
             .map_err(|_| image_error(path, "the name holds a null character"))?;
+        let shim = shim()?;
         let mut header = sys::TwopassHeader::default();
         let mut error: [c_char; 512] = [0; 512];
         // SAFETY: the name is terminated, and name, header and buffer outlive the call.
         let reader =
-            unsafe { sys::twopass_reader_open(name.as_ptr(), &mut header, error.as_mut_ptr(), error.len()) };
+            unsafe { shim.twopass_reader_open(name.as_ptr(), &mut header, error.as_mut_ptr(), error.len()) };
         match NonNull::new(reader) {
-            Some(reader) => Ok((Reader(reader), header)),
+            Some(reader) => Ok((Reader(shim, reader), header)),
             None => Err(image_error(path, message(&error))),
         }
     }
@@ -248,7 +287,7 @@ impl Reader {
         let mut error: [c_char; 512] = [0; 512];
         // SAFETY: the handle is live, and the only caller sized `pixels` by the header.
         let failed = unsafe {
-            sys::twopass_reader_read(self.0.as_ptr(), pixels.as_mut_ptr(), error.as_mut_ptr(), error.len())
+            self.0.twopass_reader_read(self.1.as_ptr(), pixels.as_mut_ptr(), error.as_mut_ptr(), error.len())
         };
         if failed == 0 { Ok(()) } else { Err(image_error(path, message(&error))) }
     }
@@ -257,7 +296,7 @@ impl Reader {
 impl Drop for Reader {
     fn drop(&mut self) {
         // SAFETY: the handle came from `twopass_reader_open` and is freed once.
-        unsafe { sys::twopass_reader_free(self.0.as_ptr()) }
+        unsafe { self.0.twopass_reader_free(self.1.as_ptr()) }
     }
 }
 

@@ -12,6 +12,7 @@
 //! is no bound (measured: 1 factor in 10,000 of the Cornell box is off by more than the 1 % that was asked for).
 
 use super::body::Body;
+use super::ring::{Cover, Planes, Ring, clip, cover};
 use crate::form_factor::analytic::{Cut, Polygon, lambert};
 use glam::DVec3;
 use std::f64::consts::PI;
@@ -31,11 +32,6 @@ const NEAR: f64 = 0.25;
 const MIXED: f64 = 0.01;
 /// Times that cells in doubt are halved both ways.
 const ROUNDS: usize = 5;
-/// Corners of a clipped polygon: what goes beyond is cut off.
-const MOST_CORNERS: usize = 16;
-
-/// Half-spaces that make one shadow.
-type Planes = Vec<(DVec3, DVec3)>;
 
 /// Buffers.
 #[derive(Default)]
@@ -83,13 +79,6 @@ pub struct Accuracy {
     pub relative: f64,
     /// Fraction below which the error counts as a share of this one.
     pub floor: f64,
-}
-
-/// Corners of a convex polygon, in a fixed place.
-#[derive(Clone, Copy, Default)]
-struct Ring {
-    corners: [DVec3; MOST_CORNERS],
-    len: usize,
 }
 
 /// The polygon that points look at.
@@ -434,114 +423,4 @@ fn spans(polygon: &Polygon, viewer: DVec3, ends: [DVec3; 2], normal: DVec3) -> b
         (from, d) = (to, e);
     }
     first && second
-}
-
-enum Cover {
-    None,
-    Whole,
-    /// Partly, and bit k is set where plane k cuts the polygon.
-    Part(u64),
-}
-
-/// How much of a polygon a shadow covers.
-#[inline]
-fn cover(polygon: &Polygon, shadow: &[(DVec3, DVec3)]) -> Cover {
-    let mut crossed = 0u64;
-    for (k, (point, outward)) in shadow.iter().enumerate() {
-        let (mut out, mut within) = (true, true);
-        for c in polygon.corners() {
-            let d = (*c - *point).dot(*outward);
-            out &= d >= 0.0;
-            within &= d <= 0.0;
-        }
-        if out {
-            return Cover::None;
-        }
-        if !within {
-            crossed |= 1 << k.min(63);
-        }
-    }
-    if crossed == 0 { Cover::Whole } else { Cover::Part(crossed) }
-}
-
-/// The part of a polygon within a shadow, in one of two buffers: which one.
-fn clip(polygon: &Polygon, shadow: &[(DVec3, DVec3)], crossed: u64, buffers: &mut [Ring; 2]) -> usize {
-    let [a, b] = buffers;
-    a.set(polygon.corners());
-    let mut at = 0;
-    for (k, &(point, outward)) in shadow.iter().enumerate() {
-        if crossed >> k.min(63) & 1 == 1 {
-            let (from, to) = if at == 0 { (&*a, &mut *b) } else { (&*b, &mut *a) };
-            from.behind(point, outward, to);
-            at = 1 - at;
-            if to.len < 3 {
-                break;
-            }
-        }
-    }
-    at
-}
-
-impl Ring {
-    fn of(corners: &[DVec3]) -> Ring {
-        let mut ring = Ring::default();
-        ring.set(corners);
-        ring
-    }
-
-    fn corners(&self) -> &[DVec3] {
-        &self.corners[..self.len]
-    }
-
-    fn set(&mut self, corners: &[DVec3]) {
-        self.corners[..corners.len()].copy_from_slice(corners);
-        self.len = corners.len();
-    }
-
-    #[inline]
-    fn push(&mut self, corner: DVec3) {
-        self.len = self.len.min(MOST_CORNERS - 1);
-        self.corners[self.len] = corner;
-        self.len += 1;
-    }
-
-    /// The part behind a plane.
-    fn behind(&self, point: DVec3, normal: DVec3, part: &mut Ring) {
-        part.len = 0;
-        let mut from = self.corners[self.len - 1];
-        let mut d = (from - point).dot(normal);
-        for &to in &self.corners[..self.len] {
-            let e = (to - point).dot(normal);
-            // From the end that lies behind, so that both sides of a cut get the same corner.
-            if d > 0.0 && e < 0.0 {
-                part.push(to + e / (e - d) * (from - to));
-            } else if d < 0.0 && e > 0.0 {
-                part.push(from + d / (d - e) * (to - from));
-            }
-            if e <= 0.0 {
-                part.push(to);
-            }
-            (from, d) = (to, e);
-        }
-    }
-
-    /// Area [m^2] and centroid of a polygon with this unit normal.
-    fn moment(&self, normal: DVec3) -> (f64, DVec3) {
-        let o = self.corners[0];
-        let (mut area, mut first) = (0.0, DVec3::ZERO);
-        let mut p = self.corners[1] - o;
-        for corner in &self.corners[2..self.len] {
-            let q = *corner - o;
-            let twice = p.cross(q).dot(normal);
-            area += twice;
-            first += twice * (p + q);
-            p = q;
-        }
-        if area == 0.0 { (0.0, o) } else { (0.5 * area, o + first / (3.0 * area)) }
-    }
-
-    /// Lambert's formula, for what lies above the horizon and faces the viewer.
-    fn lambert(&self, viewer: DVec3, normal: DVec3) -> f64 {
-        lambert(viewer, normal, &self.corners[..self.len])
-    }
 }

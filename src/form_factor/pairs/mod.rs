@@ -18,6 +18,7 @@
 mod body;
 mod cells;
 mod merge;
+mod ring;
 mod rows;
 mod shadow;
 mod shaft;
