@@ -1,7 +1,7 @@
 //! Which estimator answers a request for form factors, and how much work it takes.
 
 use super::found::Found;
-use super::pairs::{self, PairFactors, PairWork, Surfaces};
+use super::pairs::{self, FewPairs, PairFactors, PairWork, Surfaces};
 use super::{Casting, ExchangeMatrix, ObjectTable, analytic, cast};
 use crate::mesh::Mesh;
 use crate::scene::Scene;
@@ -20,6 +20,10 @@ const FEW_RAYS: u32 = 128;
 const FEW_ELEMENTS: usize = 64;
 /// Relative error of unoccluded factors among many elements.
 const QUICK: f64 = 1e-5;
+/// Rays an element for each element of an emitter: with fewer, the emitters' pairs would take longer than the rays.
+const RAYS_A_LAMP: u32 = 64;
+/// Relative error of the unoccluded factors of emitters beside hemisphere rays.
+const LAMP: f64 = 1e-4;
 
 /// What is asked for.
 #[derive(Clone, Copy)]
@@ -62,7 +66,12 @@ pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Foun
         cast(visibility, mesh, &casting).0
     };
     if !by_pairs(mesh.len(), scene, request) {
-        return by_rows(visibility, mesh, request, rows);
+        let mut found = by_rows(visibility, mesh, request, rows);
+        if request.error.is_none() && !request.by_object {
+            found.lamps = lamps(visibility, mesh, request);
+            found.rays += found.lamps.as_ref().map_or(0, |l| l.rays);
+        }
+        return found;
     }
     let few = mesh.len() <= FEW_ELEMENTS;
     // Hemisphere rays spend one budget; the pairs have another one. Where an error is asked for, the rays only tell what share
@@ -96,13 +105,55 @@ pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Foun
             false => found.largest_error(request.floor),
         });
         let (Some(asked), Some(reached)) = (request.error, achieved) else {
-            return Found { rows: Some(rows), pairs: Some(found), achieved, rays, blocked: Vec::new() };
+            return Found {
+                rows: Some(rows),
+                pairs: Some(found),
+                lamps: None,
+                achieved,
+                rays,
+                blocked: Vec::new(),
+            };
         };
         if reached <= asked || !request.by_object || work.points >= pairs::MOST_POINTS {
-            return Found { rows: Some(rows), pairs: Some(found), achieved, rays, blocked: Vec::new() };
+            return Found {
+                rows: Some(rows),
+                pairs: Some(found),
+                lamps: None,
+                achieved,
+                rays,
+                blocked: Vec::new(),
+            };
         }
         work.points = more(work.points, reached / asked, pairs::MOST_POINTS);
     }
+}
+
+/// The factors of emitters, pair by pair: a small lamp takes few of a hemisphere's rays, and all light depends on it.
+/// None where there are no emitters, or so many that they would take longer than the rays.
+fn lamps(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Option<FewPairs> {
+    let scene = visibility.scene();
+    let emits = |e: &u32| {
+        let (face, front, _) = mesh.place(*e);
+        scene.material(&scene.faces[face as usize]).emitted(front).max_element() > 0.0
+    };
+    let most = (request.rays / RAYS_A_LAMP) as usize;
+    let elements: Vec<u32> = (0..mesh.len() as u32).filter(emits).take(most + 1).collect();
+    let few = !elements.is_empty() && elements.len() <= most;
+    if !few || Surfaces::new(scene).polygons.len() > pairs::MOST_SURFACES {
+        return None;
+    }
+    let work = PairWork {
+        points: 8,
+        batches: pairs::FEW_BATCHES,
+        error: None,
+        floor: 0.0,
+        tolerance: LAMP,
+        by_cells: true,
+        unoccluded: false,
+        seed: request.seed,
+        progress: &|_| (),
+    };
+    Some(FewPairs::new(visibility, mesh, elements, &work))
 }
 
 /// Exact factors between the elements of a mesh, as if nothing were between any two.
@@ -135,7 +186,7 @@ pub fn unoccluded(
     };
     let found = PairFactors::new(visibility, mesh, &work);
     let (blocked, rays) = found.blocked_objects(visibility, mesh, seed);
-    Ok(Found { rows: None, pairs: Some(found), achieved: None, rays, blocked })
+    Ok(Found { rows: None, pairs: Some(found), lamps: None, achieved: None, rays, blocked })
 }
 
 /// Hemisphere rays alone, more of them until they meet an asked error.
@@ -154,10 +205,24 @@ fn by_rows(
             false => largest_row_error(&matrix, request.floor),
         });
         let (Some(asked), Some(reached)) = (request.error, achieved) else {
-            return Found { rows: Some(matrix), pairs: None, achieved, rays, blocked: Vec::new() };
+            return Found {
+                rows: Some(matrix),
+                pairs: None,
+                lamps: None,
+                achieved,
+                rays,
+                blocked: Vec::new(),
+            };
         };
         if reached <= asked || per_element >= MOST_RAYS {
-            return Found { rows: Some(matrix), pairs: None, achieved, rays, blocked: Vec::new() };
+            return Found {
+                rows: Some(matrix),
+                pairs: None,
+                lamps: None,
+                achieved,
+                rays,
+                blocked: Vec::new(),
+            };
         }
         per_element = more(per_element.next_power_of_two(), reached / asked, MOST_RAYS);
     }

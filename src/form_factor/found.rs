@@ -1,7 +1,7 @@
 //! Form factors, however they were found.
 
 use super::estimate::MOST_RAYS;
-use super::pairs::{self, PairFactors};
+use super::pairs::{self, FewPairs, PairFactors};
 use super::{ExchangeMatrix, ObjectTable};
 use crate::mesh::Mesh;
 use crate::scene::Scene;
@@ -12,6 +12,8 @@ pub struct Found {
     pub rows: Option<ExchangeMatrix>,
     /// Factors found pair by pair, which take the place of the rows' entries.
     pub pairs: Option<PairFactors>,
+    /// Factors from and to emitters, which take the place of the rows' entries between elements.
+    pub lamps: Option<FewPairs>,
     /// Largest relative standard error of a factor above the floor, where an error was asked for.
     pub achieved: Option<f64>,
     /// Rays cast in all.
@@ -23,7 +25,14 @@ pub struct Found {
 impl Found {
     /// Factors found by rows alone.
     pub fn by_rows(rows: ExchangeMatrix) -> Found {
-        Found { rays: rows.rays, rows: Some(rows), pairs: None, achieved: None, blocked: Vec::new() }
+        Found {
+            rays: rows.rays,
+            rows: Some(rows),
+            pairs: None,
+            lamps: None,
+            achieved: None,
+            blocked: Vec::new(),
+        }
     }
 
     /// The factors between objects, from fronts alone; both directions' estimates combined.
@@ -76,7 +85,14 @@ impl Found {
                     c.averted, c.free, c.hidden, c.cells, c.shadows, c.rays
                 ));
             }
-            (None, Some(rows)) => lines.push(format!("hemisphere rays: {} an element", rows.rays_per_row)),
+            (None, Some(rows)) => {
+                let lamps = self.lamps.as_ref().map_or(0, FewPairs::len);
+                let besides = match lamps {
+                    0 => String::new(),
+                    _ => format!("; {lamps} elements of emitters pair by pair"),
+                };
+                lines.push(format!("hemisphere rays: {} an element{besides}", rows.rays_per_row));
+            }
             (None, None) => {}
         }
         if let Some(achieved) = self.achieved {

@@ -114,7 +114,7 @@ impl Method {
         let scale = configuration.sample.as_ref().map_or(1.0, |s| n as f64 / s.len() as f64);
         let start = Instant::now();
         let tree = || Visibility::new(context.device, scene);
-        let raw = |matrix: &ExchangeMatrix| Factors::of_elements(scene, mesh, matrix, 0..n, 0.0);
+        let raw = |matrix: &ExchangeMatrix| Factors::of_elements(scene, mesh, (matrix, None), 0..n, 0.0);
         let of_matrix = |matrix: ExchangeMatrix| {
             let seconds = scale * start.elapsed().as_secs_f64();
             Ok((raw(&matrix), seconds))
@@ -122,7 +122,14 @@ impl Method {
         let of_pairs = |pairs: PairFactors| {
             let seconds = start.elapsed().as_secs_f64();
             let rays = pairs.rays;
-            let found = Found { rows: None, pairs: Some(pairs), achieved: None, rays, blocked: Vec::new() };
+            let found = Found {
+                rows: None,
+                pairs: Some(pairs),
+                lamps: None,
+                achieved: None,
+                rays,
+                blocked: Vec::new(),
+            };
             Ok((Factors::of_found(scene, mesh, &found, (false, 0..n), 0.0), seconds))
         };
         let casting = Casting {

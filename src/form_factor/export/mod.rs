@@ -10,7 +10,7 @@ pub use npz::write_npz;
 pub use text::{to_csv, to_json, to_view3d};
 pub use view::{View, view};
 
-use super::pairs::PairFactors;
+use super::pairs::{FewPairs, PairFactors};
 use super::{ExchangeMatrix, Found, ObjectTable};
 use crate::color::{self, Rgb};
 use crate::mesh::Mesh;
@@ -79,11 +79,11 @@ impl Factors {
         }
     }
 
-    /// One node an element; `rows` of them are kept.
+    /// One node an element, `rows` of them are kept; `few` of the pairs are known better.
     pub fn of_elements(
         scene: &Scene,
         mesh: &Mesh,
-        matrix: &ExchangeMatrix,
+        (matrix, few): (&ExchangeMatrix, Option<&FewPairs>),
         rows: Range<usize>,
         seconds: f64,
     ) -> Factors {
@@ -97,10 +97,8 @@ impl Factors {
             factors.values.reserve_exact(matrix.stored());
         }
         let (mut sum, mut square, mut touched) = (vec![0.0; n], vec![0.0; n], Vec::new());
+        let mut found: Vec<(u32, f64, f64)> = Vec::new();
         for row in rows {
-            let summary = &matrix.summary[row];
-            factors.escaped.push(color::mean(summary.escaped));
-            factors.absorbed.push(color::mean(summary.absorbed + summary.dropped));
             for (j, f) in matrix.row(row) {
                 let f = color::mean(f);
                 if sum[j] == 0.0 {
@@ -113,15 +111,24 @@ impl Factors {
             for &j in &touched {
                 let (total, squares) = (sum[j as usize], square[j as usize]);
                 (sum[j as usize], square[j as usize]) = (0.0, 0.0);
-                factors.columns.push(j);
-                factors.values.push(total);
-                if batches > 1 {
-                    // Each randomisation's estimate is `batches` times its share of the row; its absence is an estimate of 0.
-                    let b = batches as f64;
-                    factors.errors.push(((b * squares - total * total).max(0.0) / (b - 1.0)).sqrt());
-                }
+                // Each randomisation's estimate is `batches` times its share of the row; its absence is an estimate of 0.
+                let b = batches as f64;
+                found.push((j, total, ((b * squares - total * total).max(0.0) / (b - 1.0)).sqrt()));
             }
             touched.clear();
+            let mut summary = matrix.summary[row];
+            if let Some(few) = few {
+                few.mend(row, factors.areas[row], &mut found, &mut summary);
+            }
+            factors.escaped.push(color::mean(summary.escaped));
+            factors.absorbed.push(color::mean(summary.absorbed + summary.dropped));
+            for (j, value, error) in found.drain(..) {
+                factors.columns.push(j);
+                factors.values.push(value);
+                if batches > 1 {
+                    factors.errors.push(error);
+                }
+            }
             factors.start.push(factors.columns.len());
         }
         factors
@@ -150,7 +157,9 @@ impl Factors {
                 Factors::of_table(scene, mesh, found.table(scene, mesh, seconds), lost, rows)
             }
             (None, Some(matrix), true) => Factors::of_objects(scene, mesh, matrix, rows, seconds),
-            (None, Some(matrix), false) => Factors::of_elements(scene, mesh, matrix, rows, seconds),
+            (None, Some(matrix), false) => {
+                Factors::of_elements(scene, mesh, (matrix, found.lamps.as_ref()), rows, seconds)
+            }
             (None, None, _) => unreachable!("factors are found by rows or by pairs"),
         }
     }

@@ -17,6 +17,7 @@
 
 mod body;
 mod cells;
+mod few;
 mod merge;
 mod ring;
 mod rows;
@@ -31,6 +32,7 @@ use crate::sampling::{seed_of, sobol};
 use crate::scene::Scene;
 use crate::visibility::Visibility;
 use body::Body;
+pub use few::FewPairs;
 pub use merge::Surfaces;
 use rayon::prelude::*;
 use shaft::{Bounded, Shaft};
@@ -156,7 +158,7 @@ impl PairFactors {
         let rows: Vec<rows::Row> = (0..n)
             .into_par_iter()
             .map_init(rows::Scratch::default, |scratch, i| {
-                let row = shared.row(scratch, i);
+                let row = shared.row(scratch, i, i + 1..n);
                 (work.progress)(1);
                 row
             })

@@ -1,4 +1,4 @@
-//! One element against all later ones.
+//! One element against others.
 
 use super::cells::{Accuracy, Cells};
 use super::shadow::{Pieces, Seen, Shadow, visible};
@@ -12,6 +12,7 @@ use crate::sampling::{seed_of, sobol};
 use crate::scene::Scene;
 use glam::DVec3;
 use std::f64::consts::PI;
+use std::ops::Range;
 
 /// Bodies between two elements beyond which points are cheaper than cells.
 const MOST_BODIES: usize = 8;
@@ -24,7 +25,7 @@ const SMALL: f64 = 4.0;
 /// Points of a randomisation whose shadows are kept for the other pairs of the row.
 const KEPT: usize = 16;
 
-/// The pairs (i, j > i) of one element.
+/// Pairs of one element.
 pub(super) struct Row {
     /// Exchange areas and their standard errors [m^2].
     pub exchange: Vec<f64>,
@@ -72,8 +73,8 @@ struct Estimate {
 }
 
 impl Shared<'_, '_> {
-    pub(super) fn row(&self, scratch: &mut Scratch, i: usize) -> Row {
-        let n = self.elements.len();
+    /// The pairs of element i with those of a range; none with itself.
+    pub(super) fn row(&self, scratch: &mut Scratch, i: usize, others: Range<usize>) -> Row {
         let a = &self.elements[i];
         scratch.samples.clear();
         scratch.shadows.iter_mut().for_each(Vec::clear);
@@ -82,13 +83,13 @@ impl Shared<'_, '_> {
         scratch.past.resize(self.bodies.len(), None);
         let mut sums = vec![([0.0; BATCHES], 0.0, 0.0); self.objects];
         let mut row = Row {
-            exchange: Vec::with_capacity(n - i - 1),
-            error: Vec::with_capacity(n - i - 1),
+            exchange: Vec::with_capacity(others.len()),
+            error: Vec::with_capacity(others.len()),
             counts: PairCounts::default(),
             rays: 0,
             objects: Vec::new(),
         };
-        for j in i + 1..n {
+        for j in others {
             let b = &self.elements[j];
             let (by_batch, unseen, certain) = &mut sums[b.object as usize];
             let averted = a.surface == b.surface || self.between(i, j).is_some_and(|between| between.averted);
