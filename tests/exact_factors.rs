@@ -8,7 +8,7 @@ use common::*;
 use glam::DVec3;
 use std::f64::consts::PI;
 use twopass::form_factor::analytic::{EXACT, Polygon, differential, exchange};
-use twopass::form_factor::{ObjectTable, Request, estimate, unoccluded};
+use twopass::form_factor::{Factors, ObjectTable, Request, estimate, unoccluded};
 use twopass::mesh::{Mesh, Sides};
 use twopass::scene::Scene;
 use twopass::visibility::Visibility;
@@ -403,6 +403,65 @@ fn faces_that_continue_each_other_block_as_one() {
     assert!((sums[0] / sums[1] - 1.0).abs() < 1e-5, "{sums:?}");
     let off = few.2.iter().zip(&many.2).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f64::max);
     assert!(few.2.len() == many.2.len() && off < 0.01, "{off}");
+}
+
+/// A lamp of a hundredth of the ceiling above a block, among elements that hemisphere rays look at: its factors are as good as
+/// those found pair by pair, both ways, the rest is no noisier than the rays alone had it, and rows stay closed.
+#[test]
+fn factors_of_a_small_lamp_are_exact_beside_rays() {
+    let mut files = Files::default();
+    files.diffuse("m", &[0.5], &[0.0]).diffuse("glow", &[0.5], &[1.0]);
+    box_faces([0.0; 3], [1.0; 3], true).iter().for_each(|(_, p)| {
+        files.polygon("room", "m", p);
+    });
+    // It stands on the floor: no bottom.
+    box_faces([0.3, 0.4, 0.0], [0.3, 0.25, 0.5], false).iter().filter(|f| f.0 != "z0").for_each(|(_, p)| {
+        files.polygon("block", "m", p);
+    });
+    files.polygon("lamp", "glow", &[[0.6, 0.6, 0.95], [0.6, 0.7, 0.95], [0.7, 0.7, 0.95], [0.7, 0.6, 0.95]]);
+    let scene = files.load();
+    let device = device();
+    let visibility = Visibility::new(&device, &scene).expect("tree");
+    let mesh = Mesh::new(&scene, &Sides::fronts(&scene), 0.1, true).expect("mesh");
+    let n = mesh.len();
+    let lamp: Vec<bool> = (0..n as u32)
+        .map(|e| scene.objects[scene.faces[mesh.place(e).0 as usize].object as usize] == "lamp")
+        .collect();
+    assert!(n > 600 && lamp.iter().filter(|l| **l).count() == 1);
+    let asked = |rays, error| Request { error, floor: 1e-6, by_object: false, ..request(rays, 3) };
+    let converged =
+        estimate(&visibility, &mesh, &asked(16, Some(0.002))).pairs.expect("an error was asked for");
+    let found = estimate(&visibility, &mesh, &asked(256, None));
+    let rays = found.rows.as_ref().expect("hemisphere rays");
+    let dense = |few| {
+        let f = Factors::of_elements(&scene, &mesh, (rays, few), 0..n, 0.0);
+        let mut all = vec![0.0; n * n];
+        for i in 0..n {
+            let (columns, values, _) = f.row(i);
+            let sum: f64 = values.iter().sum();
+            // A lamp's own row is made of pairs alone, and closes as well as these were integrated.
+            let allowed = if lamp[i] { 1e-3 } else { 1e-6 };
+            let open = sum + f.escaped[i] + f.absorbed[i] - 1.0;
+            assert!(open.abs() < allowed, "row {i}: {open:.1e}");
+            columns.iter().zip(values).for_each(|(j, v)| all[i * n + *j as usize] = *v);
+        }
+        all
+    };
+    let (mended, alone) = (dense(found.lamps.as_ref()), dense(None));
+    let (mut rest, mut worst, mut by_rays) = ([0.0, 0.0], 0.0f64, 0.0f64);
+    for (i, j) in (0..n * n).map(|k| (k / n, k % n)) {
+        let (exact, k) = (converged.factor(i, j).0, i * n + j);
+        if lamp[i] || lamp[j] {
+            worst = worst.max((mended[k] - exact).abs() / exact.max(1e-5));
+            by_rays = by_rays.max((alone[k] - exact).abs() / exact.max(1e-5));
+        } else {
+            rest[0] += (mended[k] - exact).powi(2);
+            rest[1] += (alone[k] - exact).powi(2);
+        }
+    }
+    let ratio = (rest[0] / rest[1]).sqrt();
+    eprintln!("lamp off by {worst:.1e} at most, by rays {by_rays:.1e}; the rest {ratio:.4} as noisy");
+    assert!(worst < 0.02 && by_rays > 0.5 && ratio < 1.001, "{worst} {by_rays} {ratio}");
 }
 
 /// An asked error is met, by object and by element, or said to be missed.

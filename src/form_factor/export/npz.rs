@@ -1,11 +1,13 @@
 //! For NumPy and SciPy.
 
 use super::Factors;
-use npyz::npz::NpzWriter;
 use npyz::{AutoSerialize, DType, WriterBuilder};
-use std::io::{Result as IoResult, Seek, Write};
-use zip::CompressionMethod;
+use std::io::{BufWriter, Result as IoResult, Seek, Write};
 use zip::write::FileOptions;
+use zip::{CompressionMethod, ZipWriter};
+
+/// Bytes that go into the file at a time: npyz writes each number by itself.
+const BUFFER: usize = 1 << 16;
 
 /// What `scipy.sparse.load_npz` reads: CSR, f64, sorted columns, \[rows, nodes\]. Beside it, for `numpy.load`:
 /// `standard_error` of the stored entries in their order (where there are), `area` \[nodes\], `escaped` and
@@ -16,9 +18,10 @@ use zip::write::FileOptions;
 /// # Errors
 /// Those of the file.
 pub fn write_npz(factors: &Factors, file: &mut (impl Write + Seek)) -> IoResult<()> {
-    let mut npz = NpzWriter::new(file);
+    let mut npz = ZipWriter::new(file);
     let text = DType::Plain("|S3".parse().map_err(std::io::Error::other)?);
-    let mut format = npz.array("format", stored())?.dtype(text).shape(&[]).begin_nd()?;
+    npz.start_file("format.npy", stored())?;
+    let mut format = npyz::WriteOptions::new().dtype(text).shape(&[]).writer(&mut npz).begin_nd()?;
     format.push(b"csr".as_slice())?;
     format.finish()?;
     let shape = [factors.rows.len(), factors.nodes()];
@@ -38,6 +41,7 @@ pub fn write_npz(factors: &Factors, file: &mut (impl Write + Seek)) -> IoResult<
     if !factors.errors.is_empty() {
         array(&mut npz, "standard_error", factors.errors.iter().copied())?;
     }
+    npz.finish()?;
     Ok(())
 }
 
@@ -45,13 +49,17 @@ fn stored() -> FileOptions {
     FileOptions::default().compression_method(CompressionMethod::Stored).large_file(true)
 }
 
-fn array<W: Write + Seek, T: AutoSerialize>(
-    npz: &mut NpzWriter<W>,
+fn array<T: AutoSerialize>(
+    npz: &mut ZipWriter<impl Write + Seek>,
     name: &str,
     values: impl ExactSizeIterator<Item = T>,
 ) -> IoResult<()> {
+    npz.start_file(format!("{name}.npy"), stored())?;
     let shape = [values.len() as u64];
-    let mut writer = npz.array(name, stored())?.default_dtype().shape(&shape).begin_nd()?;
+    let mut buffer = BufWriter::with_capacity(BUFFER, npz);
+    let options = npyz::WriteOptions::new().default_dtype().shape(&shape);
+    let mut writer = options.writer(&mut buffer).begin_nd()?;
     writer.extend(values)?;
-    writer.finish()
+    writer.finish()?;
+    buffer.flush()
 }
