@@ -110,7 +110,8 @@ impl RayPacket {
         assert!(lane < LANES);
         let hit = &self.query.hit;
         let geometry = hit.geomID[lane];
-        (geometry != MISS).then(|| Hit {
+        // Without AVX-512, Embree writes hits into inactive lanes too.
+        (self.valid.0[lane] != 0 && geometry != MISS).then(|| Hit {
             face: hit.primID[lane] + geometry * self.triangle_count,
             u: hit.u[lane],
             v: hit.v[lane],
