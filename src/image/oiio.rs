@@ -61,7 +61,9 @@ struct Format {
 }
 
 const FORMATS: [Format; 5] = [
-    Format { extensions: &["exr"], plugin: "openexr", eight_bit: false, compression: Some("zip") },
+    // The mantissas of rendered radiance are noise: "zip" saves 6 % more than "rle", for eight times its time (100 ms and
+    // 12 ms for 512 x 512 pixels), and would keep many frames waiting.
+    Format { extensions: &["exr"], plugin: "openexr", eight_bit: false, compression: Some("rle") },
     Format { extensions: &["tif", "tiff"], plugin: "tiff", eight_bit: false, compression: Some("zip") },
     Format { extensions: &["hdr"], plugin: "hdr", eight_bit: false, compression: None },
     Format { extensions: &["png"], plugin: "png", eight_bit: true, compression: None },
