@@ -1,17 +1,17 @@
 //! Error of images over the time they take, for every method, against converged references.
 
 use super::foreign::references;
+use super::frames::frames;
 use super::pictures::{Kept, pictures};
 use super::record::{Chart, Figure, PARAMETER, Point, Subject, Unit};
 use super::reference::{reference, sees_specular};
-use super::view::{ERROR, FIRST, FLIP, NEXT, SPP, View, settings};
+use super::view::{ERROR, FIRST, FLIP, NEXT, SPP, View, pass1, settings};
 use super::{Context, Measurements, embedded};
 use crate::Result;
 use crate::emitters::Emitters;
 use crate::pipeline::Pass1;
 use crate::radiosity::Solution;
 use crate::render::{Estimator, Method, Quality, Settings};
-use crate::scene::Scene;
 use crate::visibility::Visibility;
 
 const QUALITIES: [(&str, Quality); 3] =
@@ -110,17 +110,11 @@ fn scene(context: &Context, name: &str, found: &mut Measurements) -> Result<()> 
     subject.strips = pictures(&stage, &subject, &kept, name)?;
     found.figures.extend(figures(name, &subject));
     found.subjects.push(subject);
+    found.subjects.push(frames(&stage, name)?);
     if scene.materials.iter().any(|m| m.is_specular() && !m.is_glass()) {
         found.subjects.push(lobes(&stage, name)?);
     }
     Ok(())
-}
-
-/// The scene file's settings of pass 1; coarser in a quick run.
-fn pass1(context: &Context, scene: &Scene) -> Pass1 {
-    let full = Pass1::of(scene);
-    let quick = Pass1 { rays: 256, element_size: full.element_size.map(|s| 2.0 * s), ..full };
-    context.choose(quick, full)
 }
 
 /// Every method over its samples a pixel.

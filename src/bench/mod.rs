@@ -16,6 +16,7 @@
 mod embree;
 mod foreign;
 mod form_factors;
+mod frames;
 mod hard_cases;
 mod images;
 mod machine;

@@ -10,7 +10,7 @@ use crate::image::{Comparison, Difference, Image, Options, relative_rmse_halves}
 use crate::pipeline::{self, Pass1};
 use crate::radiosity::Solution;
 use crate::render::{Estimator, Method, Settings, render};
-use crate::scene::Camera;
+use crate::scene::{Camera, Scene};
 use crate::visibility::Visibility;
 use std::time::Instant;
 
@@ -33,6 +33,13 @@ pub(super) fn settings(method: Method, spp: u32, seed: u32) -> Settings {
             Settings { method, spp, gather_rays: 32, emitter_samples: 4, estimator: Estimator::Lobe(4), seed }
         }
     }
+}
+
+/// The scene file's settings of pass 1; coarser in a quick run.
+pub(super) fn pass1(context: &Context, scene: &Scene) -> Pass1 {
+    let full = Pass1::of(scene);
+    let quick = Pass1 { rays: 256, element_size: full.element_size.map(|s| 2.0 * s), ..full };
+    context.choose(quick, full)
 }
 
 /// One scene, ready to be rendered over and over.

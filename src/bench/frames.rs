@@ -1,0 +1,73 @@
+//! Frames a second where the solution of pass 1 is kept: tracing, shading, encoding and writing together.
+
+use super::record::{Chart, PARAMETER, Subject, Unit};
+use super::view::{ERROR, SPP, View, pass1, settings};
+use crate::image::{self, WriteOptions};
+use crate::render::{Method, Quality, render};
+use crate::scene::Camera;
+use crate::sequence::render_frames;
+use crate::{Error, Result};
+use std::time::Instant;
+
+/// Edge of the pictures, in pixels.
+const SIZE: u32 = 512;
+
+const RATE: &str = "frames a second";
+const BUSY: &str = "share of the time that the encoder is busy";
+const BYTES: &str = "bytes of a frame";
+
+/// Qualities `mesh` and `direct` along a short path of the camera, written as OpenEXR.
+pub(super) fn frames(stage: &View, name: &str) -> Result<Subject> {
+    let context = stage.context;
+    let mut subject = Subject::new(
+        &format!("{name}-frames"),
+        format!("{name}: frames of {SIZE} x {SIZE} pixels"),
+        "How many frames a second come from a kept solution of pass 1, written as OpenEXR in 32-bit floats. The camera moves from \
+         frame to frame; while one is encoded and written, the next ones are traced. The relative RMSE is that of the other \
+         pictures of this scene, which are smaller, at the same quality and samples a pixel.",
+    );
+    let folder = tempfile::tempdir().map_err(|e| Error::io(std::env::temp_dir(), e))?;
+    let (solution, _) = stage.solve(&pass1(context, stage.visibility.scene()))?;
+    let count: u32 = context.choose(4, 24);
+    for round in 0..context.choose(1, 3) {
+        let seed = context.settings.seed.wrapping_add(round);
+        (context.observer)(&format!("images: {}, seed {seed}", subject.name));
+        for (series, quality) in [("mesh", Quality::Mesh), ("direct", Quality::Direct)] {
+            let samples: &[u32] = context.choose(&[1, 4], &[1, 4, 16]);
+            for &spp in samples {
+                let settings = settings(Method::TwoPass(quality), spp, seed);
+                let trace = |frame: u32| {
+                    let camera = moved(stage.camera, f64::from(frame) / f64::from(count));
+                    render(stage.visibility, stage.emitters, Some(&solution), &camera, &settings, &|_| ())
+                };
+                let path = |frame: u32| folder.path().join(format!("{frame}.exr"));
+                let options = WriteOptions::default();
+                let start = Instant::now();
+                let times = render_frames(0..count, trace, |frame, image| {
+                    image::write(image, &path(frame), &options)
+                })?;
+                let seconds = start.elapsed().as_secs_f64();
+                let writing: f64 = times.iter().map(|t| t.write_seconds).sum();
+                let bytes = std::fs::metadata(path(0)).map_err(|e| Error::io(path(0), e))?.len();
+                let small = stage.frame(&settings, Some(&solution));
+                let error = stage.compare(&small.image, &stage.reference.mask)?.relative_rmse;
+                let point = subject.series(series, SPP).at(f64::from(spp));
+                point.push(RATE, Unit::Plain, f64::from(count) / seconds);
+                point.push(BUSY, Unit::Share, writing / seconds);
+                point.push(BYTES, Unit::Bytes, bytes as f64);
+                point.push(ERROR, Unit::Share, error);
+            }
+        }
+    }
+    let about =
+        "Higher is faster. Where the encoder is busy all the time, it and not the tracing sets the rate.";
+    subject.charts.push(Chart::new("Frames a second over samples a pixel", PARAMETER, RATE, about));
+    Ok(subject)
+}
+
+/// The camera a share of the way along a step to its right by a tenth of its distance.
+fn moved(camera: &Camera, share: f64) -> Camera {
+    let view = camera.target - camera.origin;
+    let step = 0.1 * share * view.cross(camera.up).normalize_or_zero() * view.length();
+    Camera { origin: camera.origin + step, size: [SIZE; 2], ..camera.clone() }
+}
