@@ -45,6 +45,9 @@ struct EmitterSide {
     normal: DVec3,
     /// Probability of choosing the side over its area [m^-2].
     density: f64,
+    /// Corner and edges of its face ([`Scene::face_frame`]), and whether that is a triangle.
+    frame: (DVec3, DVec3, DVec3),
+    triangle: bool,
 }
 
 #[derive(Debug, Clone)]
@@ -112,6 +115,8 @@ impl Emitters {
                         index2,
                         normal,
                         density: face.area * index2,
+                        frame: scene.face_frame(face),
+                        triangle: face.is_triangle(),
                     });
                 }
             }
@@ -164,12 +169,11 @@ impl Emitters {
     }
 
     /// A point chosen in proportion to emitted power; `u` in [0, 1)^3.
-    pub fn sample(&self, scene: &Scene, u: [f64; 3]) -> Option<EmitterSample> {
+    pub fn sample(&self, u: [f64; 3]) -> Option<EmitterSample> {
         let k = self.cumulative.partition_point(|c| *c <= u[0]).min(self.sides.len().checked_sub(1)?);
         let side = &self.sides[k];
-        let face = &scene.faces[side.face as usize];
-        let (s, t) = if face.is_triangle() { sampling::triangle(u[1], u[2]) } else { (u[1], u[2]) };
-        let (p0, e1, e2) = scene.face_frame(face);
+        let (s, t) = if side.triangle { sampling::triangle(u[1], u[2]) } else { (u[1], u[2]) };
+        let (p0, e1, e2) = side.frame;
         Some(EmitterSample {
             point: p0 + s * e1 + t * e2,
             normal: side.normal,

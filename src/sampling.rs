@@ -20,10 +20,41 @@ pub fn seed_of(parts: &[u32]) -> u32 {
     h
 }
 
-/// Four dimensions of point `index` (below [`MAX_POINTS`]) of the sequence with this seed, in [0, 1).
+/// Four dimensions of point `index` of the sequence with this seed, in [0, 1). After [`MAX_POINTS`] points
+/// an independent sequence follows.
 #[inline]
 pub fn sobol(index: u32, set: u32, seed: u32) -> [f64; 4] {
-    sobol_burley::sample_4d(index % MAX_POINTS, set, seed).map(f64::from)
+    let [a, b, c, d] = points(index, set, seed);
+    [a.into(), b.into(), c.into(), d.into()]
+}
+
+/// The first four dimensions as [`sobol`] has them, in units of 2^-32 (the lower 9 bits are zero): for points that several
+/// estimates share and shift (exclusive or), each by bits of its own.
+#[inline]
+pub fn sobol_bits(index: u32, seed: u32) -> [u32; 4] {
+    // In [1, 2) the fraction's bits are the number's own.
+    let [a, b, c, d] = points(index, 0, seed);
+    [(a + 1.0).to_bits() << 9, (b + 1.0).to_bits() << 9, (c + 1.0).to_bits() << 9, (d + 1.0).to_bits() << 9]
+}
+
+#[inline]
+fn points(index: u32, set: u32, seed: u32) -> [f32; 4] {
+    let seed = if index < MAX_POINTS { seed } else { seed_of(&[seed, index / MAX_POINTS]) };
+    sobol_burley::sample_4d(index % MAX_POINTS, set, seed)
+}
+
+/// Leading bits of the first two dimensions that may be shared by the shifts of several estimates of `points` points each:
+/// each cell of that size holds equally many points, one of each run of as many points as there are cells (Sobol's first two
+/// dimensions are a (0, 2)-sequence), also after the order has been shuffled by [`sobol`].
+pub fn cell_bits(points: u32) -> [u32; 2] {
+    let bits = points.trailing_zeros().min(MAX_POINTS.ilog2());
+    [bits.div_ceil(2), bits / 2]
+}
+
+/// The upper bits of an integer in units of 2^-32, as a number in [0, 1).
+#[inline]
+pub fn unit(x: u32) -> f32 {
+    f32::from_bits(0x3f80_0000 | x >> 9) - 1.0
 }
 
 /// The first `n` Sobol points in four dimensions, before scrambling, in an order in which
@@ -146,6 +177,21 @@ pub fn concentric_disc(u: f64, v: f64) -> DVec2 {
     DVec2::new(r * phi.cos(), r * phi.sin())
 }
 
+/// [`concentric_disc`] in single precision; the angle stays within 45 degrees, where short polynomials give sine and
+/// cosine to 1e-7.
+#[inline]
+pub fn concentric_disc_rough(u: f32, v: f32) -> (f32, f32) {
+    let (a, b) = (2.0 * u - 1.0, 2.0 * v - 1.0);
+    let swap = a.abs() <= b.abs();
+    let (r, q) = if swap { (b, a) } else { (a, b) };
+    // The centre has no angle; any will do.
+    let phi = std::f32::consts::FRAC_PI_4 * (q / if r == 0.0 { 1.0 } else { r });
+    let p2 = phi * phi;
+    let sin = phi * (1.0 + p2 * (-1.0 / 6.0 + p2 * (1.0 / 120.0 + p2 * (-1.0 / 5040.0))));
+    let cos = 1.0 + p2 * (-0.5 + p2 * (1.0 / 24.0 + p2 * (-1.0 / 720.0 + p2 * (1.0 / 40320.0))));
+    if swap { (r * sin, r * cos) } else { (r * cos, r * sin) }
+}
+
 /// Unit disc to unit square: the inverse of [`concentric_disc`].
 pub fn concentric_square(d: DVec2) -> (f64, f64) {
     use std::f64::consts::FRAC_2_PI;
@@ -266,6 +312,43 @@ mod tests {
             assert!((0..=b).all(equal) && !equal(b + 1), "{n} points: {b}");
         }
         assert_eq!(SobolTable::new(64).shared_bits(), 3);
+    }
+
+    #[test]
+    fn rough_disc_matches_the_exact_one() {
+        for i in 0..=64 {
+            for j in 0..=64 {
+                let (u, v) = (i as f32 / 64.0, j as f32 / 64.0);
+                let exact = concentric_disc(f64::from(u), f64::from(v));
+                let (x, y) = concentric_disc_rough(u, v);
+                assert!((f64::from(x) - exact.x).abs() < 1e-6 && (f64::from(y) - exact.y).abs() < 1e-6);
+            }
+        }
+    }
+
+    #[test]
+    fn bits_are_those_of_the_numbers() {
+        for index in [0, 1, 77, 65_535, 65_536, 200_000] {
+            let numbers = sobol_bits(index, 5).map(|x| f64::from(unit(x)));
+            assert_eq!(numbers, sobol(index, 0, 5), "{index}");
+        }
+    }
+
+    /// Cells that estimates may share hold equally many points of any such number; each run of as many points as there
+    /// are cells has one in each.
+    #[test]
+    fn cells_hold_equally_many_points() {
+        for n in [1u32, 2, 32, 48, 96, 128, 512] {
+            let [a, b] = cell_bits(n);
+            let each = 1 << (a + b);
+            for run in (0..n).step_by(each) {
+                let cells: std::collections::HashSet<(u32, u32)> = (run..run + each as u32)
+                    .map(|k| sobol_bits(k, 3))
+                    .map(|x| (x[0].checked_shr(32 - a).unwrap_or(0), x[1].checked_shr(32 - b).unwrap_or(0)))
+                    .collect();
+                assert_eq!(cells.len(), each, "{n} points, run {run}");
+            }
+        }
     }
 
     #[test]

@@ -3,9 +3,21 @@
 use super::ray::{Hit, LIMIT, Ray};
 use super::scene::MISS;
 use super::sys;
+use glam::Vec3;
 
 /// Rays in a packet.
 pub const LANES: usize = 16;
+
+/// The bit of each lane.
+const BITS: [i32; LANES] = {
+    let mut bits = [0; LANES];
+    let mut lane = 0;
+    while lane < LANES {
+        bits[lane] = 1 << lane;
+        lane += 1;
+    }
+    bits
+};
 
 /// Embree's mask of active lanes: -1 active, 0 not.
 #[derive(Debug, Clone)]
@@ -36,6 +48,32 @@ pub struct RayLanes {
     pub origin: [[f32; LANES]; 3],
     /// Where they go.
     pub direction: [[f32; LANES]; 3],
+}
+
+/// Cosine between the first direction of a packet and any other, at least, where Embree's coherent traversal is worth its
+/// cost.
+const NARROW: f32 = 0.8;
+
+impl RayLanes {
+    /// Direction of a lane (0 to 15).
+    #[inline]
+    pub fn direction(&self, lane: usize) -> Vec3 {
+        Vec3::new(self.direction[0][lane], self.direction[1][lane], self.direction[2][lane])
+    }
+
+    /// Whether the active lanes, whose directions must have length 1, go nearly the same way: worth Embree's coherent flag.
+    #[inline]
+    pub fn is_narrow(&self, active: u16) -> bool {
+        let is_active = |l: usize| active >> l & 1 == 1;
+        let Some(first) = (0..LANES).find(|l| is_active(*l)) else { return true };
+        let [x, y, z] = &self.direction;
+        let mut least = 1f32;
+        for l in 0..LANES {
+            let cos = x[l] * x[first] + y[l] * y[first] + z[l] * z[first];
+            least = least.min(if is_active(l) { cos } else { 1.0 });
+        }
+        least > NARROW
+    }
 }
 
 /// 16 rays and their nearest hits.
@@ -83,9 +121,13 @@ impl RayPacket {
         query.tnear = [0.0; LANES];
         query.tfar = [f32::INFINITY; LANES];
         self.query.hit.geomID = [MISS; LANES];
-        for lane in 0..LANES {
-            let size: f32 = (0..3).map(|d| rays.origin[d][lane].abs() + rays.direction[d][lane].abs()).sum();
-            self.valid.0[lane] = -i32::from(active >> lane & 1 == 1 && size < LIMIT);
+        let mut size = [0f32; LANES];
+        for lanes in rays.origin.iter().chain(&rays.direction) {
+            size.iter_mut().zip(lanes).for_each(|(size, x)| *size += x.abs());
+        }
+        // No shifts by the lane and no branches: all lanes at once.
+        for ((valid, size), bit) in self.valid.0.iter_mut().zip(&size).zip(&BITS) {
+            *valid = -(i32::from(i32::from(active) & bit != 0) & i32::from(*size < LIMIT));
         }
     }
 

@@ -343,9 +343,10 @@ impl<'a, 's> Caster<'a, 's> {
         let landed = (batch as usize * m + offset) * n;
         scratch.rays += (n * lanes.sources.len()) as u64;
         let step = lanes.points_a_packet();
+        let whole = lanes.active(step);
         for base in (0..n).step_by(step) {
             let rays = lanes.rays(&scratch.points, base);
-            let active = lanes.active(n - base);
+            let active = if n - base >= step { whole } else { lanes.active(n - base) };
             scratch.packet.fill(&rays, active);
             self.visibility.closest16(&mut scratch.packet, true);
             for l in (0..LANES).filter(|l| active >> l & 1 == 1) {

@@ -13,7 +13,7 @@
 use crate::embree::{LANES, RayLanes};
 use crate::geometry::Frame;
 use crate::mesh::Mesh;
-use crate::sampling::{Scramble, ScrambledPoints, SobolTable, seed_of};
+use crate::sampling::{Scramble, ScrambledPoints, SobolTable, concentric_disc_rough, seed_of, unit};
 use crate::visibility::Visibility;
 use glam::{DVec3, Vec3};
 use std::ops::Range;
@@ -135,7 +135,8 @@ impl Lanes {
     /// Index in `sources` of a lane's element, and which of the packet's points it takes.
     #[inline]
     pub(super) fn place(&self, lane: usize) -> (usize, usize) {
-        (lane & (self.width - 1), lane / self.width)
+        // A power of two: shifting is far quicker than to divide.
+        (lane & (self.width - 1), lane >> self.width.trailing_zeros())
     }
 
     /// Bit l: lane l holds a ray, where `points` points are left.
@@ -174,7 +175,7 @@ impl Lanes {
         }
         let (mut dx, mut dy, mut dz) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
         for l in 0..LANES {
-            (dx[l], dy[l]) = disc(p[2][l], p[3][l]);
+            (dx[l], dy[l]) = concentric_disc_rough(p[2][l], p[3][l]);
             dz[l] = (1.0 - dx[l] * dx[l] - dy[l] * dy[l]).max(0.0).sqrt();
         }
         for c in 0..3 {
@@ -187,32 +188,11 @@ impl Lanes {
     }
 }
 
-/// The upper bits of an integer as a number in [0, 1).
-#[inline]
-fn unit(x: u32) -> f32 {
-    f32::from_bits(0x3f80_0000 | x >> 9) - 1.0
-}
-
 /// Lane `k` of 16 rays.
 #[inline]
 pub(super) fn lane(rays: &RayLanes, k: usize) -> (Vec3, Vec3) {
     let at = |v: &[[f32; 16]; 3]| Vec3::new(v[0][k], v[1][k], v[2][k]);
     (at(&rays.origin), at(&rays.direction))
-}
-
-/// [`crate::sampling::concentric_disc`] in single precision; the angle stays within 45 degrees, where
-/// short polynomials give sine and cosine to 1e-7.
-#[inline]
-fn disc(u: f32, v: f32) -> (f32, f32) {
-    let (a, b) = (2.0 * u - 1.0, 2.0 * v - 1.0);
-    let swap = a.abs() <= b.abs();
-    let (r, q) = if swap { (b, a) } else { (a, b) };
-    // The centre has no angle; any will do.
-    let phi = std::f32::consts::FRAC_PI_4 * (q / if r == 0.0 { 1.0 } else { r });
-    let p2 = phi * phi;
-    let sin = phi * (1.0 + p2 * (-1.0 / 6.0 + p2 * (1.0 / 120.0 + p2 * (-1.0 / 5040.0))));
-    let cos = 1.0 + p2 * (-0.5 + p2 * (1.0 / 24.0 + p2 * (-1.0 / 720.0 + p2 * (1.0 / 40320.0))));
-    if swap { (r * sin, r * cos) } else { (r * cos, r * sin) }
 }
 
 /// Whether elements of a group share packets: their common cell of directions is narrower than that of 16 rays of one.
@@ -244,21 +224,4 @@ pub fn packets_of(
         }
     }
     packets
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn fast_disc_matches_the_exact_one() {
-        for i in 0..=64 {
-            for j in 0..=64 {
-                let (u, v) = (i as f32 / 64.0, j as f32 / 64.0);
-                let exact = crate::sampling::concentric_disc(f64::from(u), f64::from(v));
-                let (x, y) = disc(u, v);
-                assert!((f64::from(x) - exact.x).abs() < 1e-6 && (f64::from(y) - exact.y).abs() < 1e-6);
-            }
-        }
-    }
 }

@@ -178,6 +178,30 @@ impl Grid {
         }
     }
 
+    /// Local nodes as in [`Grid::cell_nodes`] of the cell at (u, v) as in [`Grid::cell`], and their weights in linear
+    /// (triangles; the last one is zero) or bilinear interpolation there.
+    #[inline]
+    pub fn interpolation(&self, u: f32, v: f32) -> ([u32; 4], [f32; 4]) {
+        let (fu, fv) = (u * self.nu as f32, v * self.nv as f32);
+        let iv = (fv.max(0.0) as u32).min(self.nv - 1);
+        let last = if self.triangle { self.nu - 1 - iv } else { self.nu - 1 };
+        let iu = (fu.max(0.0) as u32).min(last);
+        let (s, t) = ((fu - iu as f32).clamp(0.0, 1.0), (fv - iv as f32).clamp(0.0, 1.0));
+        if !self.triangle {
+            let k = iv * (self.nu + 1) + iu;
+            let (p, q) = (1.0 - s, 1.0 - t);
+            return ([k, k + 1, k + self.nu + 2, k + self.nu + 1], [p * q, s * q, s * t, p * t]);
+        }
+        let k = self.triangle_node(iu, iv);
+        // The next row begins where this one ends.
+        let c = k + self.nu + 1 - iv;
+        if iu < last && s + t > 1.0 {
+            ([c + 1, c, k + 1, k + 1], [s + t - 1.0, 1.0 - s, 1.0 - t, 0.0])
+        } else {
+            ([k, k + 1, c, c], [1.0 - s - t, s, t, 0.0])
+        }
+    }
+
     fn triangle_node(&self, iu: u32, iv: u32) -> u32 {
         iv * (self.nu + 1) - iv * iv.saturating_sub(1) / 2 + iu
     }
@@ -392,7 +416,22 @@ mod tests {
                         let p = grid.cell_point(&frame, s, t);
                         assert_eq!(grid.cell(p.x as f32, p.y as f32), cell, "{grid:?} {cell} {p}");
                     }
-                    let corners = grid.cell_nodes(cell).map(|k| nodes[k as usize]);
+                    let ids = grid.cell_nodes(cell);
+                    let centre = if triangle { 1.0 / 3.0 } else { 0.5 };
+                    for (s, t) in [(centre, centre), (0.1, 0.2), (0.7, 0.2), (0.2, 0.7)] {
+                        let p = frame.0 + s * frame.1 + t * frame.2;
+                        let (found, weights) = grid.interpolation(p.x as f32, p.y as f32);
+                        let expected = if triangle {
+                            [1.0 - s - t, s, t, 0.0]
+                        } else {
+                            [(1.0 - s) * (1.0 - t), s * (1.0 - t), s * t, (1.0 - s) * t]
+                        };
+                        assert_eq!(found, ids, "{grid:?} {cell} {p}");
+                        for (a, b) in weights.iter().zip(expected) {
+                            assert!((f64::from(*a) - b).abs() < 1e-4, "{grid:?} {cell}: {weights:?}");
+                        }
+                    }
+                    let corners = ids.map(|k| nodes[k as usize]);
                     let expected = if triangle {
                         [frame.0, frame.0 + frame.1, frame.0 + frame.2, frame.0 + frame.2]
                     } else {

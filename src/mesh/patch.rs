@@ -112,7 +112,19 @@ impl Nodes {
     /// The node with local index `local` ([`super::Grid::cell_nodes`]) of a side that has elements.
     #[inline]
     pub fn id(&self, face: u32, front: bool, local: u32) -> usize {
-        self.ids[(self.first[side_index(face, front)] + local) as usize] as usize
+        self.number(self.first(face, front) + local)
+    }
+
+    /// Where the nodes of a side begin, or [`NONE`]: to be added to a local index for [`Nodes::number`].
+    #[inline]
+    pub fn first(&self, face: u32, front: bool) -> u32 {
+        self.first[side_index(face, front)]
+    }
+
+    /// The node at a place that [`Nodes::first`] leads to.
+    #[inline]
+    pub fn number(&self, place: u32) -> usize {
+        self.ids[place as usize] as usize
     }
 }
 

@@ -152,7 +152,7 @@ impl Tracer<'_, '_> {
             let k = k % MAX_POINTS;
             let p = sobol(k, 0, seed);
             let choose = sobol(k, 0, seed_of(&[seed, 1]))[0];
-            let Some(s) = self.emitters.sample(scene, [choose, p[0], p[1]]) else { break };
+            let Some(s) = self.emitters.sample([choose, p[0], p[1]]) else { break };
             let direction = Frame::new(s.normal).to_scene(cosine_hemisphere(p[2], p[3])).as_vec3();
             let origin = self.visibility.leave(s.face, s.point, s.normal);
             cast += 1;

@@ -60,7 +60,7 @@ impl Sampler<'_, '_> {
             let uv = grid.cell_point(&frame, p[0], p[1]);
             let uv = glam::DVec2::from(self.visibility.inside(face, uv.x, uv.y));
             let point = p0 + uv.x * e1 + uv.y * e2;
-            let Some(sample) = self.emitters.sample(scene, [q[0], p[2], p[3]]) else { break };
+            let Some(sample) = self.emitters.sample([q[0], p[2], p[3]]) else { break };
             let share = |c: &crate::emitters::Connection| {
                 mis_share(
                     f64::from(self.samples),

@@ -93,17 +93,18 @@ impl Field {
         if mesh.first(face, front) == NONE {
             return None;
         }
-        let grid = mesh.grid(face);
-        let cell = grid.cell(u, v);
-        let ids = grid.cell_nodes(cell).map(|k| nodes.id(face, front, k));
-        let (origin, a, b) = grid.cell_frame(cell);
-        let s = ((f64::from(u) - origin.x) / a.x).clamp(0.0, 1.0);
-        let t = ((f64::from(v) - origin.y) / b.y).clamp(0.0, 1.0);
-        let value = |k: usize| Rgb::from(self.nodes[ids[k]].map(f64::from));
-        Some(if grid.triangle {
-            value(0) * (1.0 - s - t) + value(1) * s + value(2) * t
-        } else {
-            (value(0) * (1.0 - s) + value(1) * s) * (1.0 - t) + (value(3) * (1.0 - s) + value(2) * s) * t
-        })
+        let found = self.read(nodes, nodes.first(face, front), &mesh.grid(face).interpolation(u, v));
+        Some(Rgb::new(found[0].into(), found[1].into(), found[2].into()))
+    }
+
+    /// The value between nodes of a side that has elements: `first` of [`Nodes::first`], and [`crate::mesh::Grid::interpolation`].
+    #[inline]
+    pub fn read(&self, nodes: &Nodes, first: u32, (local, weights): &([u32; 4], [f32; 4])) -> [f32; 3] {
+        let mut sum = [0.0; 3];
+        for (local, weight) in local.iter().zip(weights) {
+            let value = &self.nodes[nodes.number(first + local)];
+            sum.iter_mut().zip(value).for_each(|(s, v)| *s += weight * v);
+        }
+        sum
     }
 }

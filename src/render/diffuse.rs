@@ -1,207 +1,350 @@
-//! Diffuse light at a point of a view: interpolated, or sampled anew.
+//! Diffuse light at points of a view: interpolated, or sampled anew for up to 16 points together.
+//!
+//! Neighbouring pixels share packets: the same sample of each goes into one lane, in nearly the same direction. As in
+//! pass 1 ([`crate::form_factor`]), they share one Owen scrambling of their points and shift them by bits of their
+//! own (exclusive or), below the leading bits that [`cell_bits`] allows. So each has the points that it would have
+//! alone, and the errors of neighbours are uncorrelated.
 
+use super::landing::{EMITTER, SPECULAR};
 use super::{Context, Method, Quality, Sampler};
 use crate::color::Rgb;
-use crate::embree::{Ray, RayPacket, ShadowPacket};
+use crate::embree::{LANES, RayLanes, RayPacket, ShadowPacket};
 use crate::emitters::{Passage, connect, cosine_density, mis_share};
 use crate::form_factor::{Carried, Chains, Link};
 use crate::geometry::Frame;
-use crate::radiosity::Field;
-use crate::sampling::cosine_hemisphere;
+use crate::sampling::{cell_bits, concentric_disc_rough, sobol_bits, unit};
 use crate::scene::Material;
 use crate::visibility::{SurfaceHit, SurfacePoint};
 use glam::{DVec3, Vec3};
-use std::f64::consts::PI;
+use std::f64::consts::{FRAC_1_PI, PI};
+
+/// A point on a diffuse surface whose light is to be found.
+#[derive(Clone, Copy)]
+pub(super) struct Spot<'m> {
+    /// Its material.
+    pub material: &'m Material,
+    /// Where.
+    pub at: SurfacePoint,
+    /// Shading normal on the side seen.
+    pub normal: DVec3,
+    /// Numbers of its own.
+    pub sampler: Sampler,
+}
+
+/// One side of a spot, over which light arrives.
+#[derive(Clone, Copy)]
+struct Receiver {
+    face: u32,
+    point: DVec3,
+    origin: Vec3,
+    normal: DVec3,
+    sampler: Sampler,
+}
 
 impl Context<'_, '_> {
-    /// Radiance that leaves a point by diffuse reflection and transmission [W m^-2 sr^-1].
-    ///
-    /// `normal` is the shading normal on the side seen. `fine` asks for the method's own quality; otherwise
+    /// Where the method takes diffuse light from. `fine` asks for the method's own quality; otherwise
     /// interpolated radiosity will do (behind a wide lobe, say).
-    pub(super) fn diffuse(
-        &self,
-        material: &Material,
-        at: &SurfacePoint,
-        normal: DVec3,
-        sampler: Sampler,
-        fine: bool,
-    ) -> Rgb {
-        let quality = match self.settings.method {
+    pub(super) fn quality(&self, fine: bool) -> Quality {
+        match self.settings.method {
             Method::TwoPass(Quality::Mesh) | Method::Radiosity => Quality::Mesh,
             Method::TwoPass(Quality::Gather) if fine => Quality::Gather,
             Method::TwoPass(_) if !fine => Quality::Mesh,
             _ => Quality::Direct,
-        };
-        let read = |field: Option<&Field>| self.read(field, at.face, at.front, at.u, at.v);
-        let mapped = || {
-            let map = self.solution.and_then(|s| s.caustic_map.as_ref());
-            map.and_then(|m| m.at((at.face, at.front), at.u, at.v)).unwrap_or(Rgb::ZERO)
-        };
-        let sampled = |gather: bool| {
-            let mut r = Rgb::ZERO;
-            if material.diffuse != Rgb::ZERO {
-                r += material.diffuse * self.irradiance(at, at.geometric, normal, sampler, gather);
-            }
-            if material.is_translucent() {
-                let behind = self.irradiance(at, -at.geometric, -normal, sampler.branch(7), gather);
-                r += material.diffuse_transmission * behind;
-            }
-            r
-        };
-        let radiosity = match quality {
-            Quality::Mesh => read(self.solution.map(|s| &s.reflected)),
-            Quality::Direct => read(self.solution.map(|s| &s.indirect)) + mapped() + sampled(false),
-            Quality::Gather => {
-                read(self.solution.and_then(|s| s.caustic.as_ref())) + mapped() + sampled(true)
-            }
-        };
-        radiosity / PI
-    }
-
-    /// A field's value, zero where there is none.
-    fn read(&self, field: Option<&Field>, face: u32, front: bool, u: f32, v: f32) -> Rgb {
-        match (field, self.solution) {
-            (Some(f), Some(s)) => f.at(&s.mesh, &s.nodes, (face, front), u, v).unwrap_or(Rgb::ZERO),
-            _ => Rgb::ZERO,
         }
     }
 
-    /// Irradiance at a point on the side of `side`: from emitters and their images and, with `gather`,
-    /// from the whole hemisphere about `normal` [W m^-2].
-    fn irradiance(
+    /// Radiance that leaves points (at most [`LANES`]) by diffuse reflection and transmission, sampled anew as `quality` says
+    /// [W m^-2 sr^-1]. `shared` has the numbers that they have in common, at the index of their own.
+    pub(super) fn diffuse(
         &self,
-        at: &SurfacePoint,
-        side: DVec3,
-        normal: DVec3,
-        sampler: Sampler,
-        gather: bool,
-    ) -> Rgb {
-        let origin = self.visibility.leave(at.face, at.point, side);
-        let hemisphere = if gather { self.settings.gather_rays } else { 0 };
-        let mut sum = self.light_from_emitters(at, origin, normal, sampler, hemisphere);
-        if gather {
-            sum += self.light_from_hemisphere(at, origin, normal, sampler);
+        spots: &[Spot],
+        shared: Sampler,
+        quality: Quality,
+        found: &mut [Rgb; LANES],
+    ) {
+        let gather = quality == Quality::Gather;
+        let map = self.solution.and_then(|s| s.caustic_map.as_ref());
+        for (spot, sum) in spots.iter().zip(found.iter_mut()) {
+            let at = &spot.at;
+            let hit = SurfaceHit { face: at.face, u: at.u, v: at.v, front: at.front };
+            *sum = self.read(|s| if gather { s.caustic.as_ref() } else { Some(&s.indirect) }, &hit);
+            *sum += map.and_then(|m| m.at((at.face, at.front), at.u, at.v)).unwrap_or(Rgb::ZERO);
         }
-        sum
+        let reflecting = |m: &Material| m.diffuse;
+        self.reflected(spots, 1.0, reflecting, shared, gather, found);
+        if spots.iter().any(|s| s.material.is_translucent()) {
+            let passing = |m: &Material| m.diffuse_transmission;
+            self.reflected(spots, -1.0, passing, shared.branch(7), gather, found);
+        }
+        found[..spots.len()].iter_mut().for_each(|sum| *sum *= FRAC_1_PI);
     }
 
-    /// Irradiance by samples of the emitters, sharing the work with `hemisphere` rays.
+    /// Adds the radiosity by light on the side seen (`side` 1) or the other one (-1), `albedo` times the irradiance.
+    fn reflected(
+        &self,
+        spots: &[Spot],
+        side: f64,
+        albedo: impl Fn(&Material) -> Rgb,
+        shared: Sampler,
+        gather: bool,
+        found: &mut [Rgb; LANES],
+    ) {
+        let lit = |s: &&Spot| albedo(s.material) != Rgb::ZERO;
+        let receivers: Vec<Receiver> = spots
+            .iter()
+            .filter(lit)
+            .map(|s| Receiver {
+                face: s.at.face,
+                point: s.at.point,
+                origin: self.visibility.leave(s.at.face, s.at.point, side * s.at.geometric),
+                normal: side * s.normal,
+                sampler: if side > 0.0 { s.sampler } else { s.sampler.branch(7) },
+            })
+            .collect();
+        if receivers.is_empty() {
+            return;
+        }
+        let mut irradiance = [Rgb::ZERO; LANES];
+        let hemisphere = if gather { self.settings.gather_rays } else { 0 };
+        self.light_from_emitters(&receivers, shared, hemisphere, &mut irradiance);
+        if gather {
+            self.light_from_hemisphere(&receivers, shared, &mut irradiance);
+        }
+        let lit = spots.iter().zip(found.iter_mut()).filter(|(s, _)| lit(s));
+        lit.zip(irradiance).for_each(|((s, sum), h)| *sum += albedo(s.material) * h);
+    }
+
+    /// Adds irradiance by samples of the emitters, sharing the work with `hemisphere` rays.
     fn light_from_emitters(
         &self,
-        at: &SurfacePoint,
-        origin: Vec3,
-        normal: DVec3,
-        sampler: Sampler,
+        receivers: &[Receiver],
+        shared: Sampler,
         hemisphere: u32,
-    ) -> Rgb {
+        irradiance: &mut [Rgb; LANES],
+    ) {
         let count = self.settings.emitter_samples;
         if self.emitters.is_empty() || count == 0 {
-            return Rgb::ZERO;
+            return;
         }
         let share = |density: f64, cos: f64| {
             mis_share(f64::from(count), density, f64::from(hemisphere), cosine_density(cos))
         };
-        let mut sum = Rgb::ZERO;
+        let numbers = Numbers::new(receivers, shared, (1, count), self.settings.spp);
+        let mut sum = [Rgb::ZERO; LANES];
         let mut packet = ShadowPacket::new();
-        let mut pending = [Rgb::ZERO; 16];
-        let mut used = 0;
-        for k in 0..count {
-            let u = sampler.split(1, k, count);
-            let Some(sample) = self.emitters.sample(self.scene, [u[2], u[0], u[1]]) else { break };
-            if let Some(c) = connect(at.point, normal, &sample) {
-                packet.set(used, &self.visibility.segment(origin, sample.face, sample.point, sample.normal));
-                pending[used] = c.irradiance * share(c.density, c.direction.dot(normal));
-                used += 1;
+        let mut pending = [Rgb::ZERO; LANES];
+        for base in (0..count).step_by(numbers.points()) {
+            let points = numbers.of(base, count);
+            packet.clear();
+            let mut active = 0u16;
+            for lane in numbers.lanes(count - base) {
+                let r = numbers.receiver(lane);
+                let &Receiver { point, origin, normal, .. } = &receivers[r];
+                let u = points.map(|p| f64::from(p[lane]));
+                let Some(sample) = self.emitters.sample([u[2], u[0], u[1]]) else { return };
+                if let Some(c) = connect(point, normal, &sample) {
+                    let segment = self.visibility.segment(origin, sample.face, sample.point, sample.normal);
+                    packet.set(lane, &segment);
+                    pending[lane] = c.irradiance * share(c.density, c.direction.dot(normal));
+                    active |= 1 << lane;
+                }
+                if self.emitters.has_images() {
+                    self.emitters.images(self.scene, point, normal, &sample, |mirror, window, c| {
+                        if self.emitters.image_visible(self.visibility, origin, mirror, window, &sample) {
+                            sum[r] += c.irradiance * share(c.density, c.direction.dot(normal));
+                        }
+                    });
+                }
             }
-            if self.emitters.has_images() {
-                self.emitters.images(self.scene, at.point, normal, &sample, |mirror, window, c| {
-                    if self.emitters.image_visible(self.visibility, origin, mirror, window, &sample) {
-                        sum += c.irradiance * share(c.density, c.direction.dot(normal));
-                    }
-                });
-            }
-            if used == 16 || (k + 1 == count && used > 0) {
-                self.cast(used as u32);
+            if active != 0 {
+                self.cast(active.count_ones());
+                // The coherent flag slows these down, whether they go to one lamp or several.
                 let blocked = self.visibility.occluded16(&mut packet, false);
-                sum += (0..used).filter(|k| blocked >> k & 1 == 0).map(|k| pending[k]).sum::<Rgb>();
-                packet.clear();
-                used = 0;
+                for lane in (0..LANES).filter(|l| active & !blocked & 1 << l != 0) {
+                    sum[numbers.receiver(lane)] += pending[lane];
+                }
             }
         }
-        sum / f64::from(count)
+        irradiance.iter_mut().zip(sum).for_each(|(h, s)| *h += s / f64::from(count));
     }
 
-    /// Irradiance by cosine-weighted rays that read reflected radiosity where they land.
-    fn light_from_hemisphere(&self, at: &SurfacePoint, origin: Vec3, normal: DVec3, sampler: Sampler) -> Rgb {
+    /// Adds irradiance by cosine-weighted rays that read reflected radiosity where they land.
+    fn light_from_hemisphere(&self, receivers: &[Receiver], shared: Sampler, irradiance: &mut [Rgb; LANES]) {
         let count = self.settings.gather_rays;
-        let frame = Frame::new(normal);
+        let numbers = Numbers::new(receivers, shared, (2, count), self.settings.spp);
+        let bases = Bases::new(receivers, &numbers);
         let chains = Chains::new(self.visibility, Some(self.emitters));
-        let mut sum = Rgb::ZERO;
+        let mut sum = [Rgb::ZERO; LANES];
         let mut packet = RayPacket::new();
-        let mut lanes = [Vec3::ZERO; 16];
-        for base in (0..count).step_by(16) {
-            let n = (count - base).min(16);
-            packet.clear();
-            for k in 0..n {
-                let u = sampler.split(2, base + k, count);
-                let d = frame.to_scene(cosine_hemisphere(u[0], u[1])).as_vec3();
-                lanes[k as usize] = d;
-                packet.set(k as usize, &Ray::new(origin, d));
-            }
-            self.cast(n);
-            self.visibility.closest16(&mut packet, false);
-            for (k, &direction) in lanes.iter().enumerate().take(n as usize) {
-                let Some(hit) = self.visibility.lane(&packet, k, origin, direction, at.face) else {
-                    sum += self.scene.environment;
+        for base in (0..count).step_by(numbers.points()) {
+            let rays = bases.rays(&numbers.of(base, count));
+            let active = numbers.lanes(count - base).fold(0u16, |bits, lane| bits | 1 << lane);
+            self.cast(active.count_ones());
+            packet.fill(&rays, active);
+            self.visibility.closest16(&mut packet, rays.is_narrow(active));
+            for lane in numbers.lanes(count - base) {
+                let r = numbers.receiver(lane);
+                let &Receiver { face, origin, normal, sampler, .. } = &receivers[r];
+                let direction = rays.direction(lane);
+                let Some(hit) = self.visibility.lane(&packet, lane, origin, direction, face) else {
+                    sum[r] += self.scene.environment;
                     continue;
                 };
+                let kind = self.landings.kind(&hit);
+                sum[r] += self.interpolated(&hit);
+                if kind == 0 {
+                    continue;
+                }
                 let first = direction.as_dvec3();
-                let length = || self.visibility.point(&hit).point.distance(origin.as_dvec3());
-                sum += self.arriving(&hit, Rgb::ONE, Passage::Straight, length, first, first.dot(normal));
-                let material = self.scene.material(&self.scene.faces[hit.face as usize]);
-                if material.is_specular() && (hit.front || material.two_sided) {
-                    let number = sampler.index.wrapping_mul(count).wrapping_add(base + k as u32);
+                if kind & EMITTER != 0 {
+                    let length = self.visibility.point(&hit).point.distance(origin.as_dvec3());
+                    sum[r] += self.emitted(&hit, length, first, first.dot(normal));
+                }
+                if kind & SPECULAR != 0 {
+                    let point = numbers.point(lane, base);
+                    let number = sampler.index.wrapping_mul(count).wrapping_add(point);
+                    let mut arriving = Rgb::ZERO;
                     let end = chains.follow(
                         Carried::Radiance,
                         (origin, direction, hit),
                         (number, sampler.branch(9).seed),
                         |link: &Link| {
                             let Link { hit, weight, passage, length, direction } = *link;
-                            sum +=
-                                self.arriving(&hit, weight, passage, || length, direction, first.dot(normal));
+                            let mut radiance = self.interpolated(&hit);
+                            // Emission by longer chains is in the caustic part of the solution.
+                            if passage != Passage::Chain {
+                                radiance += self.emitted(&hit, length, direction, first.dot(normal));
+                            }
+                            arriving += weight * radiance;
                         },
                     );
                     self.cast(end.rays);
-                    sum += end.escaped * self.scene.environment;
+                    sum[r] += arriving + end.escaped * self.scene.environment;
                 }
             }
         }
-        sum * (PI / f64::from(count.max(1)))
+        let scale = PI / f64::from(count.max(1));
+        irradiance.iter_mut().zip(sum).for_each(|(h, s)| *h += s * scale);
     }
 
-    /// Radiance towards the gathering point from one surface on a hemisphere ray's way: reflected
-    /// light, and emission as far as the emitters' own samples leave it.
-    fn arriving(
-        &self,
-        hit: &SurfaceHit,
-        weight: Rgb,
-        passage: Passage,
-        length: impl Fn() -> f64,
-        direction: DVec3,
-        cos: f64,
-    ) -> Rgb {
-        let field = self.solution.map(|s| &s.reflected);
-        let mut radiance = self.read(field, hit.face, hit.front, hit.u, hit.v) / PI;
-        // Emission by longer chains is in the caustic part of the solution.
-        if passage != Passage::Chain {
-            if let Some((emitted, density)) = self.emitters.at(hit.face, hit.front) {
-                let length = length();
-                let n = self.scene.faces[hit.face as usize].normal;
-                let q = density * length * length / direction.dot(n).abs();
-                let (rays, samples) = (self.settings.gather_rays, self.settings.emitter_samples);
-                radiance += emitted * mis_share(f64::from(rays), cosine_density(cos), f64::from(samples), q);
+    /// Emission of a surface on a hemisphere ray's way, as far as the emitters' own samples leave it. `length` is that of the
+    /// way, `direction` its last one, `cos` the first one's cosine at the receiver.
+    fn emitted(&self, hit: &SurfaceHit, length: f64, direction: DVec3, cos: f64) -> Rgb {
+        let Some((emitted, density)) = self.emitters.at(hit.face, hit.front) else { return Rgb::ZERO };
+        let n = self.scene.faces[hit.face as usize].normal;
+        let q = density * length * length / direction.dot(n).abs();
+        let (rays, samples) = (self.settings.gather_rays, self.settings.emitter_samples);
+        emitted * mis_share(f64::from(rays), cosine_density(cos), f64::from(samples), q)
+    }
+}
+
+/// Numbers of receivers, spread over the lanes of packets: with m of them (rounded up to a power of two, the rest idle), lane l
+/// has receiver l mod m and the (l / m)-th of the points that are due.
+struct Numbers {
+    receivers: usize,
+    width: usize,
+    /// Seed of the points that all share, and the first one's index.
+    seed: u32,
+    first: u32,
+    shift: [[u32; LANES]; 3],
+}
+
+impl Numbers {
+    /// `count` points in the dimensions of `set`, for each of `spp` samples.
+    fn new(receivers: &[Receiver], shared: Sampler, (set, count): (u32, u32), spp: u32) -> Numbers {
+        let width = receivers.len().next_power_of_two();
+        let [a, b] = cell_bits(count.saturating_mul(spp));
+        let mut shift = [[0; LANES]; 3];
+        for lane in 0..LANES {
+            if let Some(receiver) = receivers.get(lane & (width - 1)) {
+                let own = receiver.sampler.shift(set);
+                shift.iter_mut().zip(own).zip([a, b, 0]).for_each(|((s, own), c)| s[lane] = own >> c);
             }
         }
-        radiance * weight
+        let first = shared.index.wrapping_mul(count);
+        Numbers { receivers: receivers.len(), width, seed: shared.seed_of(set), first, shift }
+    }
+
+    /// Points of each receiver that one packet takes.
+    fn points(&self) -> usize {
+        LANES / self.width
+    }
+
+    /// The receiver of a lane.
+    #[inline]
+    fn receiver(&self, lane: usize) -> usize {
+        lane & (self.width - 1)
+    }
+
+    /// The point of a lane, in a packet that begins with point `base`.
+    #[inline]
+    fn point(&self, lane: usize, base: u32) -> u32 {
+        base + (lane / self.width) as u32
+    }
+
+    /// Lanes that hold a ray, where `left` points are.
+    fn lanes(&self, left: u32) -> impl Iterator<Item = usize> + use<> {
+        let (mask, receivers) = (self.width - 1, self.receivers);
+        let end = self.width * (left as usize).min(self.points());
+        (0..end).filter(move |l| l & mask < receivers)
+    }
+
+    /// Three numbers in [0, 1) for each lane, from point `base` of `count` on.
+    #[inline]
+    fn of(&self, base: u32, count: u32) -> [[f32; LANES]; 3] {
+        let mut numbers = [[0.0; LANES]; 3];
+        for (k, lanes) in (0..LANES).step_by(self.width).enumerate() {
+            let point = (base + k as u32).min(count - 1);
+            let bits = sobol_bits(self.first.wrapping_add(point), self.seed);
+            let lanes = lanes..lanes + self.width;
+            for (d, numbers) in numbers.iter_mut().enumerate() {
+                let shift = &self.shift[d][lanes.clone()];
+                numbers[lanes.clone()].iter_mut().zip(shift).for_each(|(u, s)| *u = unit(bits[d] ^ s));
+            }
+        }
+        numbers
+    }
+}
+
+/// Origins and frames of receivers by lane.
+struct Bases {
+    origin: [[f32; LANES]; 3],
+    x: [[f32; LANES]; 3],
+    y: [[f32; LANES]; 3],
+    z: [[f32; LANES]; 3],
+}
+
+impl Bases {
+    fn new(receivers: &[Receiver], numbers: &Numbers) -> Bases {
+        let none = [[0.0; LANES]; 3];
+        let mut bases = Bases { origin: none, x: none, y: none, z: none };
+        for lane in 0..LANES {
+            let Some(receiver) = receivers.get(numbers.receiver(lane)) else { continue };
+            let frame = Frame::new(receiver.normal);
+            for c in 0..3 {
+                bases.origin[c][lane] = receiver.origin[c];
+                bases.x[c][lane] = frame.x[c] as f32;
+                bases.y[c][lane] = frame.y[c] as f32;
+                bases.z[c][lane] = frame.z[c] as f32;
+            }
+        }
+        bases
+    }
+
+    /// Cosine-weighted rays.
+    #[inline]
+    fn rays(&self, [u, v, _]: &[[f32; LANES]; 3]) -> RayLanes {
+        let (mut dx, mut dy, mut dz) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
+        for l in 0..LANES {
+            (dx[l], dy[l]) = concentric_disc_rough(u[l], v[l]);
+            dz[l] = (1.0 - dx[l] * dx[l] - dy[l] * dy[l]).max(0.0).sqrt();
+        }
+        let mut direction = [[0.0; LANES]; 3];
+        for (c, d) in direction.iter_mut().enumerate() {
+            for l in 0..LANES {
+                d[l] = dx[l] * self.x[c][l] + dy[l] * self.y[c][l] + dz[l] * self.z[c][l];
+            }
+        }
+        RayLanes { origin: self.origin, direction }
     }
 }

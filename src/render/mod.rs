@@ -1,18 +1,23 @@
 //! Pass 2: images, from the solution of pass 1 and rays over the specular lobes.
 
+mod block;
 mod diffuse;
+mod landing;
 mod lobe;
 mod path;
 mod view;
 
 use crate::color::Rgb;
+use crate::embree::{LANES, RayLanes, RayPacket};
 use crate::emitters::Emitters;
 use crate::image::Image;
 use crate::radiosity::{Directional, Solution};
-use crate::sampling::{seed_of, sobol};
+use crate::sampling::{seed_of, sobol, sobol_bits};
 use crate::scene::{Camera, CameraFrame, Scene};
 use crate::visibility::Visibility;
+use block::BLOCK;
 use glam::{DVec2, DVec3, Vec3};
+use landing::Landings;
 use rayon::prelude::*;
 use std::cell::Cell;
 
@@ -73,6 +78,7 @@ pub(crate) struct Context<'a, 's> {
     visibility: &'a Visibility<'s>,
     emitters: &'a Emitters,
     solution: Option<&'a Solution>,
+    landings: &'a Landings,
     settings: Settings,
     /// Rays cast so far.
     rays: Cell<u64>,
@@ -97,12 +103,28 @@ pub(crate) struct Sampler {
 impl Sampler {
     /// Four numbers of this sample.
     fn numbers(&self, set: u32) -> [f64; 4] {
-        sobol(self.index, 0, seed_of(&[self.seed, set]))
+        sobol(self.index, 0, self.seed_of(set))
+    }
+
+    /// The seed of a set's numbers.
+    fn seed_of(&self, set: u32) -> u32 {
+        seed_of(&[self.seed, set])
+    }
+
+    /// Four numbers of this sample in units of 2^-32, for several pixels to shift.
+    fn bits(&self, set: u32) -> [u32; 4] {
+        sobol_bits(self.index, self.seed_of(set))
+    }
+
+    /// What a pixel shifts the numbers of a set by that it shares with others: the same for all of its samples.
+    fn shift(&self, set: u32) -> [u32; 3] {
+        let seed = self.seed_of(set);
+        [0, 1, 2].map(|d| seed_of(&[seed, d]))
     }
 
     /// Four numbers of the `k`-th of `count` sub-samples of this sample.
     fn split(&self, set: u32, k: u32, count: u32) -> [f64; 4] {
-        sobol(self.index.wrapping_mul(count).wrapping_add(k), 0, seed_of(&[self.seed, set]))
+        sobol(self.index.wrapping_mul(count).wrapping_add(k), 0, self.seed_of(set))
     }
 
     /// Independent numbers for what lies behind branch `branch`.
@@ -131,10 +153,18 @@ const PROBES: u32 = 3;
 /// that samples chosen by it are without bias.
 fn sees_perfect_lobe(visibility: &Visibility, frame: &CameraFrame, x: u32, y: u32) -> bool {
     let scene = visibility.scene();
-    (0..PROBES * PROBES).any(|k| {
+    let origin = frame.origin().as_vec3();
+    let mut rays = RayLanes { origin: origin.to_array().map(|x| [x; LANES]), direction: [[0.0; LANES]; 3] };
+    for k in 0..PROBES * PROBES {
         let at = |k: u32| (f64::from(k) + 0.5) / f64::from(PROBES);
         let direction = frame.direction(f64::from(x) + at(k % PROBES), f64::from(y) + at(k / PROBES));
-        let hit = visibility.closest(frame.origin().as_vec3(), direction.as_vec3(), u32::MAX);
+        (0..3).for_each(|c| rays.direction[c][k as usize] = direction[c] as f32);
+    }
+    let mut packet = RayPacket::new();
+    packet.fill(&rays, (1 << (PROBES * PROBES)) - 1);
+    visibility.closest16(&mut packet, true);
+    (0..(PROBES * PROBES) as usize).any(|k| {
+        let hit = visibility.lane(&packet, k, origin, rays.direction(k), u32::MAX);
         hit.is_some_and(|h| scene.material(&scene.faces[h.face as usize]).has_perfect_lobe())
     })
 }
@@ -166,21 +196,36 @@ pub fn render(
     };
     let gathers = settings.method == Method::TwoPass(Quality::Gather);
     let looks = gathers && scene.faces.iter().any(|f| scene.material(f).has_perfect_lobe());
-    film(scene, camera, progress, |frame, x, y| {
-        let finely = looks && sees_perfect_lobe(visibility, frame, x, y);
-        let settings = if finely { finer } else { *settings };
-        let context = Context { scene, visibility, emitters, solution, settings, rays: Cell::new(0) };
-        if looks {
-            context.cast(PROBES * PROBES);
+    let landings = &Landings::new(scene, emitters, solution);
+    film(scene, camera, progress, |frame, pixels| {
+        let context = |settings| Context {
+            scene,
+            visibility,
+            emitters,
+            solution,
+            landings,
+            settings,
+            rays: Cell::new(0),
+        };
+        let coarse = context(*settings);
+        if settings.method == Method::Path {
+            let path = |origin, direction, sampler| coarse.path(origin, direction, sampler);
+            let radiance = pixels.iter().map(|at| pixel(frame, *at, (settings.spp, settings.seed), path));
+            return (radiance.collect(), coarse.rays.get());
         }
-        let radiance =
-            pixel(frame, (x, y), (settings.spp, settings.seed), |origin, direction, sampler| match settings
-                .method
-            {
-                Method::Path => context.path(origin, direction, sampler),
-                _ => context.view(origin, direction, sampler),
-            });
-        (radiance, context.rays.get())
+        if !looks {
+            return (coarse.block(frame, pixels)[..pixels.len()].to_vec(), coarse.rays.get());
+        }
+        coarse.cast(PROBES * PROBES * pixels.len() as u32);
+        let finely = |at: &(u32, u32)| sees_perfect_lobe(visibility, frame, at.0, at.1);
+        let (many, few): (Vec<_>, Vec<_>) = pixels.iter().partition(|at| finely(at));
+        let finer = context(finer);
+        let mut found: Vec<((u32, u32), Rgb)> = Vec::with_capacity(pixels.len());
+        for (context, pixels) in [(&coarse, few), (&finer, many)] {
+            found.extend(pixels.iter().copied().zip(context.block(frame, &pixels)));
+        }
+        let radiance = |at: &(u32, u32)| found.iter().find(|f| f.0 == *at).map_or(Rgb::ZERO, |f| f.1);
+        (pixels.iter().map(radiance).collect(), coarse.rays.get() + finer.rays.get())
     })
 }
 
@@ -196,16 +241,17 @@ pub fn render_directional(
     progress: &(dyn Fn(u64) + Sync),
 ) -> (Image, u64) {
     let scene = visibility.scene();
-    film(scene, camera, progress, |frame, x, y| {
-        let radiance = pixel(frame, (x, y), (spp, seed), |origin, direction, sampler| {
+    film(scene, camera, progress, |frame, pixels| {
+        let seen = |origin: Vec3, direction: DVec3, sampler: Sampler| {
             let Some(hit) = visibility.closest(origin, direction.as_vec3(), u32::MAX) else {
                 return scene.environment;
             };
             let emitted = emitters.at(hit.face, hit.front).map_or(Rgb::ZERO, |(radiance, _)| radiance);
             let uv = DVec2::new(f64::from(hit.u), f64::from(hit.v));
             emitted + solution.leaving(scene, (hit.face, hit.front), uv, -direction, sampler.numbers(1))
-        });
-        (radiance, u64::from(spp))
+        };
+        let radiance = pixels.iter().map(|at| pixel(frame, *at, (spp, seed), seen)).collect();
+        (radiance, u64::from(spp) * pixels.len() as u64)
     })
 }
 
@@ -226,40 +272,41 @@ fn pixel(
     samples.sum::<Rgb>() / f64::from(spp.max(1))
 }
 
-/// All pixels of an image, tile by tile on all cores; `shade` gives a pixel's radiance and the rays that it took.
+/// All pixels of an image, tile by tile on all cores; `shade` gives the radiance of the pixels of a block, at most
+/// [`BLOCK`] x [`BLOCK`], and the rays that they took.
 fn film(
     scene: &Scene,
     camera: &Camera,
     progress: &(dyn Fn(u64) + Sync),
-    shade: impl Fn(&CameraFrame, u32, u32) -> (Rgb, u64) + Sync,
+    shade: impl Fn(&CameraFrame, &[(u32, u32)]) -> (Vec<Rgb>, u64) + Sync,
 ) -> (Image, u64) {
     let frame = camera.frame(scene);
     let [width, height] = camera.size;
     let columns = width.div_ceil(TILE);
-    let tiles: Vec<(Vec<[f32; 3]>, u64)> = (0..columns * height.div_ceil(TILE))
+    // Coordinates of the pixels of a square, as far as they are in the image.
+    let square = |x0: u32, y0: u32, edge: u32| {
+        let row = move |y| (x0..(x0 + edge).min(width)).map(move |x| (x, y));
+        (y0..(y0 + edge).min(height)).flat_map(row)
+    };
+    let tiles: Vec<(Vec<_>, u64)> = (0..columns * height.div_ceil(TILE))
         .into_par_iter()
         .map(|tile| {
             let mut rays = 0;
-            let (x0, y0) = (tile % columns * TILE, tile / columns * TILE);
             let mut pixels = Vec::with_capacity((TILE * TILE) as usize);
-            for y in y0..(y0 + TILE).min(height) {
-                for x in x0..(x0 + TILE).min(width) {
-                    let (radiance, cast) = shade(&frame, x, y);
-                    rays += cast;
-                    pixels.push(radiance.as_vec3().to_array());
-                }
+            let corners = square(tile % columns * TILE, tile / columns * TILE, TILE);
+            for (x, y) in corners.filter(|(x, y)| x % BLOCK == 0 && y % BLOCK == 0) {
+                let block: Vec<(u32, u32)> = square(x, y, BLOCK).collect();
+                let (radiance, cast) = shade(&frame, &block);
+                rays += cast;
+                pixels.extend(block.into_iter().zip(radiance.iter().map(|r| r.as_vec3().to_array())));
             }
             progress(pixels.len() as u64);
             (pixels, rays)
         })
         .collect();
     let mut image = Image::new(width as usize, height as usize);
-    for (tile, (pixels, _)) in tiles.iter().enumerate() {
-        let (x0, y0) = (tile as u32 % columns * TILE, tile as u32 / columns * TILE);
-        let w = TILE.min(width - x0);
-        for (k, pixel) in pixels.iter().enumerate() {
-            image.set((x0 + k as u32 % w) as usize, (y0 + k as u32 / w) as usize, *pixel);
-        }
+    for ((x, y), pixel) in tiles.iter().flat_map(|t| &t.0) {
+        image.set(*x as usize, *y as usize, *pixel);
     }
     (image, tiles.iter().map(|t| t.1).sum())
 }

@@ -159,7 +159,7 @@ impl Context<'_, '_> {
 
     /// Light from one emitter sample, straight and by its mirror images, over all but the perfect lobes.
     fn next_event(&self, surface: &Surface, at: &SurfacePoint, u: [f64; 4]) -> Rgb {
-        let Some(sample) = self.emitters.sample(self.scene, [u[2], u[0], u[1]]) else { return Rgb::ZERO };
+        let Some(sample) = self.emitters.sample([u[2], u[0], u[1]]) else { return Rgb::ZERO };
         let mut sum = Rgb::ZERO;
         let sides: &[f64] = if surface.scatters_through() { &[1.0, -1.0] } else { &[1.0] };
         for &sign in sides {

@@ -1,10 +1,12 @@
 //! View rays: recursion over specular surfaces down to diffuse light.
 
-use super::{Context, Estimator, Method, Sampler, lobe};
+use super::diffuse::Spot;
+use super::{Context, Estimator, Method, Quality, Sampler, lobe};
 use crate::bsdf::{Scatter, Specular};
 use crate::color::{self, Rgb};
+use crate::embree::LANES;
 use crate::emitters::{Connection, connect, mis_share};
-use crate::visibility::SurfacePoint;
+use crate::visibility::{SurfaceHit, SurfacePoint};
 use glam::{DVec3, Vec3};
 
 /// Branches weaker than this play Russian roulette.
@@ -22,7 +24,7 @@ const WIDE: f64 = 0.02;
 
 /// One view ray on its way.
 #[derive(Clone, Copy)]
-struct Sight {
+pub(super) struct Sight {
     origin: Vec3,
     direction: DVec3,
     /// The face that it left.
@@ -51,10 +53,10 @@ struct Shared {
     to_mirror: Option<f64>,
 }
 
-impl Context<'_, '_> {
-    /// Radiance along a camera ray [W m^-2 sr^-1].
-    pub(super) fn view(&self, origin: Vec3, direction: DVec3, sampler: Sampler) -> Rgb {
-        let sight = Sight {
+impl Sight {
+    /// A camera's ray.
+    pub(super) fn of_camera(origin: Vec3, direction: DVec3) -> Sight {
+        Sight {
             origin,
             direction,
             from: u32::MAX,
@@ -63,20 +65,31 @@ impl Context<'_, '_> {
             glossy: 0,
             fine: true,
             shared: None,
-        };
-        self.see(&sight, sampler)
+        }
     }
+}
 
+impl Context<'_, '_> {
     fn see(&self, sight: &Sight, sampler: Sampler) -> Rgb {
         self.cast(1);
         let Some(hit) = self.visibility.closest(sight.origin, sight.direction.as_vec3(), sight.from) else {
             return self.scene.environment;
         };
-        let at = self.visibility.point(&hit);
+        let (radiance, spot) = self.meet(sight, &hit, sampler);
+        let Some(spot) = spot else { return radiance };
+        let mut diffuse = [Rgb::ZERO; LANES];
+        self.diffuse(&[spot], sampler, self.quality(sight.fine), &mut diffuse);
+        radiance + diffuse[0]
+    }
+
+    /// What a view ray sees where it meets a surface [W m^-2 sr^-1]. Diffuse light that is to be sampled anew is left out: it
+    /// is that of the spot, if there is one.
+    pub(super) fn meet(&self, sight: &Sight, hit: &SurfaceHit, sampler: Sampler) -> (Rgb, Option<Spot<'_>>) {
         let material = self.scene.material(&self.scene.faces[hit.face as usize]);
         let mut radiance = Rgb::ZERO;
         if let Some((emitted, density)) = self.emitters.at(hit.face, hit.front) {
             let share = sight.shared.map_or(1.0, |s| {
+                let at = self.visibility.point(hit);
                 let r = s.to_mirror.unwrap_or(0.0) + at.point.distance(sight.origin.as_dvec3());
                 mis_share(
                     s.rays,
@@ -88,18 +101,24 @@ impl Context<'_, '_> {
             radiance += emitted * share;
         }
         if !hit.front && !material.two_sided {
-            return radiance;
+            return (radiance, None);
         }
+        let sampled = material.is_diffuse() && self.quality(sight.fine) != Quality::Mesh;
+        if material.is_diffuse() && !sampled {
+            radiance += self.interpolated(hit);
+        }
+        let specular = material.is_specular() && self.settings.method != Method::Radiosity;
+        if !sampled && !specular {
+            return (radiance, None);
+        }
+        let at = self.visibility.point(hit);
         let wo = -sight.direction;
         let normal = at.facing(wo);
-        if material.is_diffuse() {
-            radiance += self.diffuse(material, &at, normal, sampler, sight.fine);
-        }
-        if material.is_specular() && self.settings.method != Method::Radiosity {
+        if specular {
             let surface = Specular::new(material, wo, normal, at.geometric, at.front);
             radiance += self.specular(&surface, &at, sight, sampler);
         }
-        radiance
+        (radiance, sampled.then_some(Spot { material, at, normal, sampler }))
     }
 
     fn specular(&self, surface: &Specular, at: &SurfacePoint, sight: &Sight, sampler: Sampler) -> Rgb {
@@ -213,7 +232,7 @@ impl Context<'_, '_> {
         (rays, samples): (u32, u32),
         u: [f64; 4],
     ) -> Rgb {
-        let Some(sample) = self.emitters.sample(self.scene, [u[2], u[0], u[1]]) else { return Rgb::ZERO };
+        let Some(sample) = self.emitters.sample([u[2], u[0], u[1]]) else { return Rgb::ZERO };
         let (rays, samples) = (f64::from(rays), f64::from(samples));
         let weigh = |c: &Connection, side: DVec3| {
             let (value, density) = surface.glossy(c.direction);

@@ -148,7 +148,7 @@ impl<'s> Visibility<'s> {
         })
     }
 
-    /// Resolves a lane of a traced packet.
+    /// Resolves a lane of a traced packet that holds an endless ray.
     #[inline]
     pub fn lane(
         &self,
@@ -158,7 +158,7 @@ impl<'s> Visibility<'s> {
         direction: Vec3,
         from: u32,
     ) -> Option<SurfaceHit> {
-        let hit = packet.hit(lane)?;
+        let Some(hit) = packet.hit(lane) else { return self.nudged(&Ray::new(origin, direction), from) };
         if hit.face == from {
             return self.closest(origin, direction, from);
         }
