@@ -152,25 +152,72 @@ pub fn render(
     settings: &Settings,
     progress: &(dyn Fn(u64) + Sync),
 ) -> (Image, u64) {
-    let scene = visibility.scene();
-    // As many hemisphere rays a pixel in all.
-    let finer = Settings {
-        spp: settings.spp.saturating_mul(FINER),
-        gather_rays: settings.gather_rays.div_ceil(FINER),
-        emitter_samples: settings.emitter_samples.div_ceil(FINER),
-        estimator: match settings.estimator {
-            Estimator::Lobe(n) => Estimator::Lobe(n.div_ceil(FINER)),
-            frustum => frustum,
-        },
-        ..*settings
-    };
-    let gathers = settings.method == Method::TwoPass(Quality::Gather);
-    let looks = gathers && scene.faces.iter().any(|f| scene.material(f).has_perfect_lobe());
-    film(scene, camera, progress, |frame, x, y| {
-        let finely = looks && sees_perfect_lobe(visibility, frame, x, y);
-        let settings = if finely { finer } else { *settings };
+    let shader = Shader::new(visibility, emitters, solution, settings);
+    film(visibility.scene(), camera, progress, |frame, x, y| shader.pixel(frame, x, y))
+}
+
+/// Renders some pixels of an image alone, (column, row) from the top left: what [`render`] gives for them, and the rays cast.
+pub fn render_pixels(
+    visibility: &Visibility,
+    emitters: &Emitters,
+    solution: Option<&Solution>,
+    (camera, pixels): (&Camera, &[[u32; 2]]),
+    settings: &Settings,
+) -> (Vec<Rgb>, u64) {
+    let shader = Shader::new(visibility, emitters, solution, settings);
+    let frame = camera.frame(visibility.scene());
+    let shaded: Vec<(Rgb, u64)> = pixels
+        .par_iter()
+        .with_min_len(TILE as usize)
+        .map(|[x, y]| shader.pixel(&frame, *x, *y))
+        .collect();
+    (shaded.iter().map(|s| s.0).collect(), shaded.iter().map(|s| s.1).sum())
+}
+
+/// Shades pixel after pixel.
+struct Shader<'a, 's> {
+    visibility: &'a Visibility<'s>,
+    emitters: &'a Emitters,
+    solution: Option<&'a Solution>,
+    settings: Settings,
+    /// Settings of pixels that see a mirror or glass first; none where they are the same.
+    finer: Option<Settings>,
+}
+
+impl<'a, 's> Shader<'a, 's> {
+    fn new(
+        visibility: &'a Visibility<'s>,
+        emitters: &'a Emitters,
+        solution: Option<&'a Solution>,
+        settings: &Settings,
+    ) -> Shader<'a, 's> {
+        let scene = visibility.scene();
+        // As many hemisphere rays a pixel in all.
+        let finer = Settings {
+            spp: settings.spp.saturating_mul(FINER),
+            gather_rays: settings.gather_rays.div_ceil(FINER),
+            emitter_samples: settings.emitter_samples.div_ceil(FINER),
+            estimator: match settings.estimator {
+                Estimator::Lobe(n) => Estimator::Lobe(n.div_ceil(FINER)),
+                frustum => frustum,
+            },
+            ..*settings
+        };
+        let gathers = settings.method == Method::TwoPass(Quality::Gather);
+        let looks = gathers && scene.faces.iter().any(|f| scene.material(f).has_perfect_lobe());
+        Shader { visibility, emitters, solution, settings: *settings, finer: looks.then_some(finer) }
+    }
+
+    /// Mean radiance over a pixel [W m^-2 sr^-1], and the rays cast for it.
+    fn pixel(&self, frame: &CameraFrame, x: u32, y: u32) -> (Rgb, u64) {
+        let &Shader { visibility, emitters, solution, .. } = self;
+        let settings = match self.finer {
+            Some(finer) if sees_perfect_lobe(visibility, frame, x, y) => finer,
+            _ => self.settings,
+        };
+        let scene = visibility.scene();
         let context = Context { scene, visibility, emitters, solution, settings, rays: Cell::new(0) };
-        if looks {
+        if self.finer.is_some() {
             context.cast(PROBES * PROBES);
         }
         let radiance =
@@ -181,7 +228,31 @@ pub fn render(
                 _ => context.view(origin, direction, sampler),
             });
         (radiance, context.rays.get())
-    })
+    }
+}
+
+/// Which pixels of an image see no emitter directly nor have a neighbour that does, row by row: errors are measured over them
+/// (DESIGN section 2), as the edges of lamps would hide all else.
+pub fn sees_no_emitter(visibility: &Visibility, emitters: &Emitters, camera: &Camera) -> Vec<bool> {
+    const RAYS: u32 = 4;
+    let frame = camera.frame(visibility.scene());
+    let [width, height] = camera.size;
+    let sees = |x: u32, y: u32| {
+        (0..RAYS * RAYS).any(|k| {
+            let at = |j: u32| (f64::from(j) + 0.5) / f64::from(RAYS);
+            let direction = frame.direction(f64::from(x) + at(k % RAYS), f64::from(y) + at(k / RAYS));
+            let hit = visibility.closest(frame.origin().as_vec3(), direction.as_vec3(), u32::MAX);
+            hit.is_some_and(|hit| emitters.at(hit.face, hit.front).is_some())
+        })
+    };
+    let seen: Vec<bool> = (0..width * height).into_par_iter().map(|k| sees(k % width, k / width)).collect();
+    let near = |k: u32, n: u32| k.saturating_sub(1)..(k + 2).min(n);
+    (0..width * height)
+        .map(|k| {
+            let (x, y) = (k % width, k / width);
+            !near(y, height).any(|j| near(x, width).any(|i| seen[(j * width + i) as usize]))
+        })
+        .collect()
 }
 
 /// Renders directional radiosity ([`Directional`]): every surface shows what was solved for, emitters their emission.
