@@ -166,11 +166,8 @@ pub fn render_pixels(
 ) -> (Vec<Rgb>, u64) {
     let shader = Shader::new(visibility, emitters, solution, settings);
     let frame = camera.frame(visibility.scene());
-    let shaded: Vec<(Rgb, u64)> = pixels
-        .par_iter()
-        .with_min_len(TILE as usize)
-        .map(|[x, y]| shader.pixel(&frame, *x, *y))
-        .collect();
+    let shaded: Vec<(Rgb, u64)> =
+        pixels.par_iter().with_min_len(TILE as usize).map(|[x, y]| shader.pixel(&frame, *x, *y)).collect();
     (shaded.iter().map(|s| s.0).collect(), shaded.iter().map(|s| s.1).sum())
 }
 
