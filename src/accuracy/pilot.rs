@@ -19,12 +19,18 @@ use crate::{Error, Result};
 
 /// Pixels looked at, about.
 const PIXELS: usize = 4096;
+/// From this error on, half of them and fewer samples will do.
+const COARSE: f64 = 0.025;
+/// Below this error, more rays and samples are needed.
+const FINE: f64 = 0.006;
 /// Element size of the first level over [`default_element_size`]: some hundred elements in a simple room.
 const COARSEST: f64 = 4.0;
 /// Extrapolation from the two finest levels: with an error that falls as the element size to the power p, the finest is
 /// off by this times their difference, 1 / (2^p - 1). Measured: p is 1.1 to 1.3 for gathering.
 const BEYOND: f64 = 0.8;
-/// Samples a pixel at which noise is measured.
+/// Share of the pixels at which noise is measured where that is dear.
+const SHARE: usize = 4;
+/// Samples a pixel at which noise is measured; the last at fewer pixels.
 const LADDER: [u32; 3] = [1, 4, 16];
 
 /// Means of the products of two lists of differences, by pixel, with the standard error.
@@ -47,7 +53,7 @@ impl Square {
 struct Sampled {
     /// From two independent runs of both passes.
     runs: [Vec<Rgb>; 2],
-    /// Pass 1 of the second run, pass 2 of the first.
+    /// Pass 1 of the second run, pass 2 of the first, at the pixels of [`Pilot::few`].
     crossed: Vec<Rgb>,
     /// Rays cast for a sample of a pixel.
     rays: f64,
@@ -73,6 +79,8 @@ pub(super) struct Pilot<'a, 's> {
     pub rays: u32,
     spp: u32,
     pub pixels: Vec<[u32; 2]>,
+    /// One in [`SHARE`] of them.
+    few: Vec<[u32; 2]>,
     pub levels: Vec<Level>,
     /// Variance of a pixel at each of [`LADDER`]'s samples, by quality.
     noise: [[f64; LADDER.len()]; 3],
@@ -84,10 +92,15 @@ impl<'a, 's> Pilot<'a, 's> {
     /// Looks at pixels of the mask; `error` is what will be asked of the picture.
     pub fn new(view: &'a View<'a, 's>, mask: &[bool], error: f64, seed: u32) -> Pilot<'a, 's> {
         // So many that the systematic error is known to well below the one asked for.
-        let (rays, spp) = if error < 0.006 { (1024, 16) } else { (256, 8) };
-        let pixels = choose_pixels(view.camera.size, mask, seed);
+        let (pixels, rays, spp) = match error {
+            e if e < FINE => (PIXELS, 1024, 16),
+            e if e < COARSE => (PIXELS, 256, 8),
+            _ => (PIXELS / 2, 256, 4),
+        };
+        let pixels = choose_pixels(view.camera.size, mask, pixels, seed);
+        let few = pixels.iter().step_by(SHARE).copied().collect();
         let noise = Default::default();
-        Pilot { view, seed, rays, spp, pixels, levels: Vec::new(), noise, cast: 0 }
+        Pilot { view, seed, rays, spp, pixels, few, levels: Vec::new(), noise, cast: 0 }
     }
 
     /// Adds the next finer level; `false` where memory forbids it.
@@ -114,11 +127,11 @@ impl<'a, 's> Pilot<'a, 's> {
             self.measure_noise(&runs[0]);
         }
         let sampled = QUALITIES.map(|quality| {
-            let one = |solution: &Solution, run| self.render(quality, solution, self.spp, run);
-            let (first, cast) = one(&runs[0], 0);
-            let (second, more) = one(&runs[1], 1);
-            let (crossed, most) = one(&runs[1], 0);
-            self.cast += cast + more + most;
+            let one = |solution, run, pixels| self.render(quality, (solution, pixels), self.spp, run);
+            let (first, cast) = one(&runs[0], 0, &self.pixels);
+            let (second, more) = one(&runs[1], 1, &self.pixels);
+            let (crossed, rest) = one(&runs[1], 0, &self.few);
+            self.cast += cast + more + rest;
             let samples = (self.pixels.len() * self.spp as usize).max(1);
             Sampled { runs: [first, second], crossed, rays: cast as f64 / samples as f64 }
         });
@@ -131,18 +144,25 @@ impl<'a, 's> Pilot<'a, 's> {
         seed_of(&[self.seed, run, 0x9170])
     }
 
-    fn render(&self, quality: Quality, solution: &Solution, spp: u32, run: u32) -> (Vec<Rgb>, u64) {
+    fn render(
+        &self,
+        quality: Quality,
+        (solution, pixels): (&Solution, &[[u32; 2]]),
+        spp: u32,
+        run: u32,
+    ) -> (Vec<Rgb>, u64) {
         let View { visibility, emitters, camera, settings, .. } = *self.view;
         let settings =
             Settings { method: Method::TwoPass(quality), spp, seed: self.seed_of(run), ..settings };
-        render_pixels(visibility, emitters, Some(solution), (camera, &self.pixels), &settings)
+        render_pixels(visibility, emitters, Some(solution), (camera, pixels), &settings)
     }
 
     fn measure_noise(&mut self, solution: &Solution) {
         for (q, quality) in QUALITIES.into_iter().enumerate() {
             for (k, spp) in LADDER.into_iter().enumerate() {
-                let (a, cast) = self.render(quality, solution, spp, 2);
-                let (b, more) = self.render(quality, solution, spp, 3);
+                let pixels = if k + 1 < LADDER.len() { &self.pixels } else { &self.few };
+                let (a, cast) = self.render(quality, (solution, pixels), spp, 2);
+                let (b, more) = self.render(quality, (solution, pixels), spp, 3);
                 self.cast += cast + more;
                 let mean = mean(&a).max(f64::MIN_POSITIVE);
                 self.noise[q][k] = 0.5 * product(&minus(&a, &b), &minus(&a, &b)).value / (mean * mean);
@@ -170,7 +190,8 @@ impl<'a, 's> Pilot<'a, 's> {
     /// Variance of a pixel by pass 1 with the pilot's rays, relative.
     pub fn noise_of_pass1(&self, quality: usize, level: usize) -> f64 {
         let s = &self.levels[level].sampled[quality];
-        let d = minus(&s.runs[0], &s.crossed);
+        let first: Vec<Rgb> = s.runs[0].iter().step_by(SHARE).copied().collect();
+        let d = minus(&first, &s.crossed);
         0.5 * product(&d, &d).value / self.mean().powi(2)
     }
 
@@ -218,9 +239,9 @@ fn product(a: &[Rgb], b: &[Rgb]) -> Square {
 }
 
 /// One pixel of each block of the image, of those that count.
-fn choose_pixels([width, height]: [u32; 2], mask: &[bool], seed: u32) -> Vec<[u32; 2]> {
+fn choose_pixels([width, height]: [u32; 2], mask: &[bool], most: usize, seed: u32) -> Vec<[u32; 2]> {
     let count = mask.iter().filter(|m| **m).count();
-    let step = ((count as f64 / PIXELS as f64).sqrt().ceil() as u32).max(1);
+    let step = ((count as f64 / most as f64).sqrt().ceil() as u32).max(1);
     let mut pixels = Vec::new();
     for y in (0..height).step_by(step as usize) {
         for x in (0..width).step_by(step as usize) {
