@@ -212,7 +212,7 @@ fn fill(
     variance: f64,
 ) -> Plan {
     let pixels = f64::from(camera.size[0]) * f64::from(camera.size[1]);
-    let of_pass1 = pilot.noise_of_pass1(quality, level) * f64::from(pilot.rays);
+    let of_pass1 = pilot.noise_of_pass1(quality, level);
     let ray = pilot.levels[level].rays;
     let sample = (SAMPLE + RAY * pilot.rays_per_sample(quality)) * pixels;
     let plan = |spp: u32| {
@@ -359,7 +359,7 @@ fn finish(
 fn missed(a: &Achieved) -> Option<String> {
     (!a.met).then(|| {
         let (why, help) = if a.discretisation > a.noise {
-            ("finer elements would take too much memory", "allow more with --max-memory")
+            ("finer elements would take too much memory or time", "allow more with --max-memory")
         } else {
             ("more samples would take too long", "ask for a larger error")
         };

@@ -67,6 +67,8 @@ pub(super) struct Level {
     pub elements: usize,
     /// Rays of pass 1 for each ray an element.
     pub rays: f64,
+    /// Rays an element.
+    rays_each: u32,
     /// By quality.
     sampled: [Sampled; 3],
 }
@@ -75,7 +77,7 @@ pub(super) struct Level {
 pub(super) struct Pilot<'a, 's> {
     view: &'a View<'a, 's>,
     seed: u32,
-    /// Rays an element.
+    /// Rays an element, from the third level on.
     pub rays: u32,
     spp: u32,
     pub pixels: Vec<[u32; 2]>,
@@ -103,22 +105,24 @@ impl<'a, 's> Pilot<'a, 's> {
         Pilot { view, seed, rays, spp, pixels, few, levels: Vec::new(), noise, cast: 0 }
     }
 
-    /// Adds the next finer level; `false` where memory forbids it.
+    /// Adds the next finer level; `false` where memory forbids it. The first two are needed.
     pub fn refine(&mut self) -> Result<bool> {
         let scene = self.view.visibility.scene();
         let element_size = COARSEST * default_element_size(scene) * 0.5f64.powi(self.levels.len() as i32);
+        // Few elements have much noise in common between the pixels of each.
+        let rays_each = self.rays << 2usize.saturating_sub(self.levels.len());
         let mut runs = Vec::new();
         let mut rays = 0;
         for run in 0..2 {
             let settings =
-                Pass1 { rays: self.rays, element_size: Some(element_size), seed: self.seed_of(run) };
+                Pass1 { rays: rays_each, element_size: Some(element_size), seed: self.seed_of(run) };
             let mut stages: Vec<Stage> = Vec::new();
             let View { visibility, emitters, view_points, limit, .. } = *self.view;
             let solved =
                 solve_within(limit, visibility, emitters, view_points, &settings, &|_| (), &mut stages);
             rays += stages.iter().map(|s| s.rays).sum::<u64>();
             runs.push(match solved {
-                Err(Error::Usage(_)) if !self.levels.is_empty() => return Ok(false),
+                Err(Error::Usage(_)) if self.levels.len() > 1 => return Ok(false),
                 other => other?.solution,
             });
         }
@@ -135,8 +139,8 @@ impl<'a, 's> Pilot<'a, 's> {
             let samples = (self.pixels.len() * self.spp as usize).max(1);
             Sampled { runs: [first, second], crossed, rays: cast as f64 / samples as f64 }
         });
-        let rays = rays as f64 / f64::from(2 * self.rays);
-        self.levels.push(Level { element_size, elements: runs[0].mesh.len(), rays, sampled });
+        let rays = rays as f64 / f64::from(2 * rays_each);
+        self.levels.push(Level { element_size, elements: runs[0].mesh.len(), rays, rays_each, sampled });
         Ok(true)
     }
 
@@ -187,12 +191,13 @@ impl<'a, 's> Pilot<'a, 's> {
         v[k + 1] * (m / f64::from(spp)).powf(power.clamp(0.5, 2.0))
     }
 
-    /// Variance of a pixel by pass 1 with the pilot's rays, relative.
+    /// Variance of a pixel by pass 1 with one ray an element, relative.
     pub fn noise_of_pass1(&self, quality: usize, level: usize) -> f64 {
-        let s = &self.levels[level].sampled[quality];
+        let Level { sampled, rays_each, .. } = &self.levels[level];
+        let s = &sampled[quality];
         let first: Vec<Rgb> = s.runs[0].iter().step_by(SHARE).copied().collect();
         let d = minus(&first, &s.crossed);
-        0.5 * product(&d, &d).value / self.mean().powi(2)
+        0.5 * f64::from(*rays_each) * product(&d, &d).value / self.mean().powi(2)
     }
 
     /// Rays of pass 2 for a sample of a pixel.

@@ -91,7 +91,7 @@ pub struct RenderArgs {
     #[arg(long, value_name = "WxH", value_parser = size)]
     pub size: Option<[u32; 2]>,
     /// Choose quality, elements, rays and samples so that the image's relative RMSE is at most this, and say what was
-    /// achieved; pixels that see an emitter directly do not count.
+    /// achieved; the scene file's own choices are left aside, and pixels that see an emitter directly do not count.
     #[arg(long, value_name = "E", value_parser = share, allow_negative_numbers = true, conflicts_with_all = [
         "rays", "element_size", "spp", "quality", "gather_rays", "emitter_samples", "solution", "frames"
     ])]
