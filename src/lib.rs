@@ -37,6 +37,7 @@
 //! # Ok::<(), twopass::Error>(())
 //! ```
 
+pub mod accuracy;
 pub mod bench;
 pub mod bsdf;
 pub mod cli;

@@ -3,7 +3,7 @@
 use super::Context;
 use crate::emitters::Emitters;
 use crate::image::{self, Image, WriteOptions, mean_image, read_exr};
-use crate::render::{Estimator, Method, Settings, render};
+use crate::render::{Estimator, Method, Settings, render, sees_no_emitter};
 use crate::scene::Camera;
 use crate::visibility::Visibility;
 use crate::{Error, Result};
@@ -119,29 +119,6 @@ fn noise(halves: &[Image; 2], mask: &[bool]) -> (f64, f64) {
     let mean = sum / n;
     let variance_of_mse = fourth / 12.0 / (n * n);
     ((square / n / 4.0).sqrt() / mean, (2.0 * variance_of_mse.sqrt()).sqrt() / mean)
-}
-
-/// Which pixels see no emitter directly, nor have a neighbour that does.
-fn sees_no_emitter(visibility: &Visibility, emitters: &Emitters, camera: &Camera) -> Vec<bool> {
-    const RAYS: u32 = 4;
-    let frame = camera.frame(visibility.scene());
-    let [width, height] = camera.size;
-    let sees = |x: u32, y: u32| {
-        (0..RAYS * RAYS).any(|k| {
-            let at = |j: u32| (f64::from(j) + 0.5) / f64::from(RAYS);
-            let direction = frame.direction(f64::from(x) + at(k % RAYS), f64::from(y) + at(k / RAYS));
-            let hit = visibility.closest(frame.origin().as_vec3(), direction.as_vec3(), u32::MAX);
-            hit.is_some_and(|hit| emitters.at(hit.face, hit.front).is_some())
-        })
-    };
-    let seen: Vec<bool> = (0..width * height).map(|k| sees(k % width, k / width)).collect();
-    let near = |k: u32, n: u32| k.saturating_sub(1)..(k + 2).min(n);
-    (0..width * height)
-        .map(|k| {
-            let (x, y) = (k % width, k / width);
-            !near(y, height).any(|j| near(x, width).any(|i| seen[(j * width + i) as usize]))
-        })
-        .collect()
 }
 
 /// Which pixels show nothing but glossy or mirroring surfaces at first sight.

@@ -90,6 +90,12 @@ pub struct RenderArgs {
     /// Pixels across and down [default: the camera's]
     #[arg(long, value_name = "WxH", value_parser = size)]
     pub size: Option<[u32; 2]>,
+    /// Choose quality, elements, rays and samples so that the image's relative RMSE is at most this, and say what was
+    /// achieved; the scene file's own choices are left aside, and pixels that see an emitter directly do not count.
+    #[arg(long, value_name = "E", value_parser = share, allow_negative_numbers = true, conflicts_with_all = [
+        "rays", "element_size", "spp", "quality", "gather_rays", "emitter_samples", "solution", "frames"
+    ])]
+    pub error: Option<f64>,
     /// How light is found.
     #[arg(long, value_enum, default_value_t = MethodArg::TwoPass)]
     pub method: MethodArg,

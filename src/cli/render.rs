@@ -4,6 +4,7 @@ use super::args::{EstimatorArg, MethodArg, Pass1Args, QualityArg, RenderArgs};
 use super::check_outputs;
 use super::frames::{Pattern, check_range, refuse_pattern};
 use super::progress::Progress;
+use crate::accuracy::{Achieved, View, render_to_error};
 use crate::embree::Device;
 use crate::emitters::Emitters;
 use crate::image::{self, Image, WriteOptions};
@@ -28,6 +29,9 @@ pub fn run(args: &RenderArgs) -> Result<()> {
             "--solution is for --method two-pass and radiosity: others have no pass 1".into(),
         ));
     }
+    if args.error.is_some() && args.method != MethodArg::TwoPass {
+        return Err(Error::Usage("--error is for --method two-pass".into()));
+    }
     // Beside pass 1, which does not need it.
     std::thread::spawn(image::ready);
     let progress = Progress::new(args.common.quiet);
@@ -41,20 +45,39 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         pipeline::stage("solution", 0, observer, &mut stages, || (Solution::read_npz(&scene, path), 0))
     });
     let kept = kept.transpose()?;
-    let settings = settings(args, &scene);
+    let mut settings = settings(args, &scene);
 
     let device = Device::new(rayon::current_num_threads())?;
     let visibility =
         pipeline::stage("build", 0, observer, &mut stages, || (Visibility::new(&device, &scene), 0))?;
     let emitters = Emitters::new(&visibility);
     pipeline::require_light(&scene, &emitters)?;
-    let pass1_settings = pass1(&args.pass1, &scene, args.common.seed);
+    let mut pass1_settings = pass1(&args.pass1, &scene, args.common.seed);
     // Not the camera at hand: pass 1 is the same whichever view is rendered, and as `solve` has it.
     let view_points = scene.view_points();
     let advance = |n| progress.tell(pipeline::Event::Advance(n));
     let mut pass1 = None;
     let mut directional = None;
-    if args.method == MethodArg::Directional {
+    let (mut rendered, mut accuracy) = (None, None);
+    if let Some(error) = args.error {
+        let view = View {
+            visibility: &visibility,
+            emitters: &emitters,
+            view_points: &view_points,
+            camera: &cameras[0].1,
+            settings,
+            limit: args.memory.limit(),
+        };
+        let found = render_to_error(&view, error, args.common.seed, observer, &mut stages)?;
+        tell_factors(&progress, &found.pass1);
+        found.warnings.iter().for_each(|w| progress.warn(w));
+        warnings.extend(found.warnings);
+        tell_accuracy(&progress, &found.achieved);
+        settings.spp = found.achieved.spp;
+        pass1_settings = found.settings;
+        pass1 = Some(found.pass1);
+        (rendered, accuracy) = (Some(found.image), Some(found.achieved));
+    } else if args.method == MethodArg::Directional {
         let what = (&pass1_settings, args.directions);
         let solution =
             pipeline::solve_directional(&visibility, &emitters, &view_points, what, observer, &mut stages)?;
@@ -111,7 +134,10 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         })?;
         tell_frames(&progress, &frames, stages.last());
     } else {
-        let image = pipeline::stage("trace", pixels, observer, &mut stages, || picture(&cameras[0].1));
+        let image = match rendered {
+            Some(image) => image,
+            None => pipeline::stage("trace", pixels, observer, &mut stages, || picture(&cameras[0].1)),
+        };
         pipeline::stage("write", 0, observer, &mut stages, || {
             (args.output.iter().try_for_each(|output| image::write(&image, output, &options)), 0)
         })?;
@@ -119,6 +145,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     let mut report = Report::new(&scene, versions, args.common.seed, stages, warnings);
     report.elements = directional.map_or(solution.map_or(0, |s| s.mesh.len()), |d| d.elements());
     report.frames = frames;
+    report.accuracy = accuracy;
     if let Some(result) = &pass1 {
         let pass1 = Pass1Report::new(&pass1_settings, result);
         progress.line(&format!(
@@ -187,6 +214,22 @@ fn tell_frames(progress: &Progress, frames: &[FrameTime], stage: Option<&Stage>)
         frames.len(),
         frames.len() as f64 / seconds,
         100.0 * write / seconds
+    ));
+}
+
+/// Says how wrong the picture is and what was chosen for it.
+fn tell_accuracy(progress: &Progress, a: &Achieved) {
+    progress.line(&format!(
+        "error {:.2} % (noise {:.2} %, elements {:.2} %) for {:.2} % asked: quality {}, elements of at most {:.4} m, {} rays an \
+         element, {} samples a pixel",
+        100.0 * a.relative_rmse,
+        100.0 * a.noise,
+        100.0 * a.discretisation,
+        100.0 * a.asked,
+        a.quality,
+        a.element_size,
+        a.rays,
+        a.spp
     ));
 }
 

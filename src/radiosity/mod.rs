@@ -18,7 +18,7 @@ pub use file::Kept;
 pub use ledger::Ledger;
 pub use reconstruct::Field;
 pub use solve::Convergence;
-pub use trust::warnings;
+pub use trust::{UNCERTAIN, warnings};
 pub use uncertainty::ObjectRadiosity;
 
 use crate::color::Rgb;

@@ -5,8 +5,10 @@ use crate::color;
 use crate::form_factor::Rows;
 use crate::scene::Scene;
 
+/// How the warning about standard errors begins.
+pub const UNCERTAIN: &str = "radiosity is uncertain";
 /// Relative standard error of an object's reflected light above which a warning names it.
-const UNCERTAIN: f64 = 0.05;
+const TOLERATED: f64 = 0.05;
 /// Share of rays below which what escapes does so through cracks, not openings.
 const CRACK: f64 = 1e-3;
 /// Departure of the power balance that needs no explanation.
@@ -51,7 +53,7 @@ fn uncertain(solution: &Solution, warnings: &mut Vec<String>) {
         let (error, value) = (color::mean(o.standard_error), color::mean(o.radiosity));
         // What is dark beside the rest of the scene need not be known as well.
         let relative = error / value.max(1e-6 * brightest);
-        if relative > UNCERTAIN {
+        if relative > TOLERATED {
             worst.push((relative, &o.name));
         }
     }
@@ -64,7 +66,7 @@ fn uncertain(solution: &Solution, warnings: &mut Vec<String>) {
             .chain((worst.len() > NAMED).then(|| "...".into()))
             .collect();
         warnings.push(format!(
-            "radiosity is uncertain: cast more rays (--rays); standard errors of means ({})",
+            "{UNCERTAIN}: cast more rays (--rays); standard errors of means ({})",
             names.join(", ")
         ));
     }

@@ -182,22 +182,69 @@ pub fn render(
     settings: &Settings,
     progress: &(dyn Fn(u64) + Sync),
 ) -> (Image, u64) {
-    let scene = visibility.scene();
-    // As many hemisphere rays a pixel in all.
-    let finer = Settings {
-        spp: settings.spp.saturating_mul(FINER),
-        gather_rays: settings.gather_rays.div_ceil(FINER),
-        emitter_samples: settings.emitter_samples.div_ceil(FINER),
-        estimator: match settings.estimator {
-            Estimator::Lobe(n) => Estimator::Lobe(n.div_ceil(FINER)),
-            frustum => frustum,
-        },
-        ..*settings
-    };
-    let gathers = settings.method == Method::TwoPass(Quality::Gather);
-    let looks = gathers && scene.faces.iter().any(|f| scene.material(f).has_perfect_lobe());
-    let landings = &Landings::new(scene, emitters, solution);
-    film(scene, camera, progress, |frame, pixels| {
+    let shader = Shader::new(visibility, emitters, solution, settings);
+    film(visibility.scene(), camera, progress, |frame, pixels| shader.block(frame, pixels))
+}
+
+/// Some pixels of an image alone, (column, row) from the top left: what [`render`] gives for them, and the rays cast.
+pub fn render_pixels(
+    visibility: &Visibility,
+    emitters: &Emitters,
+    solution: Option<&Solution>,
+    (camera, pixels): (&Camera, &[[u32; 2]]),
+    settings: &Settings,
+) -> (Vec<Rgb>, u64) {
+    let shader = Shader::new(visibility, emitters, solution, settings);
+    let frame = camera.frame(visibility.scene());
+    let shaded: Vec<(Vec<Rgb>, u64)> = pixels
+        .par_iter()
+        .with_min_len(TILE as usize)
+        .map(|[x, y]| shader.block(&frame, &[(*x, *y)]))
+        .collect();
+    (shaded.iter().flat_map(|s| s.0.iter().copied()).collect(), shaded.iter().map(|s| s.1).sum())
+}
+
+/// Shades block after block of pixels.
+struct Shader<'a, 's> {
+    visibility: &'a Visibility<'s>,
+    emitters: &'a Emitters,
+    solution: Option<&'a Solution>,
+    landings: Landings,
+    settings: Settings,
+    /// Settings of pixels that see a mirror or glass first; none where they are the same.
+    finer: Option<Settings>,
+}
+
+impl<'a, 's> Shader<'a, 's> {
+    fn new(
+        visibility: &'a Visibility<'s>,
+        emitters: &'a Emitters,
+        solution: Option<&'a Solution>,
+        settings: &Settings,
+    ) -> Shader<'a, 's> {
+        let scene = visibility.scene();
+        // As many hemisphere rays a pixel in all.
+        let finer = Settings {
+            spp: settings.spp.saturating_mul(FINER),
+            gather_rays: settings.gather_rays.div_ceil(FINER),
+            emitter_samples: settings.emitter_samples.div_ceil(FINER),
+            estimator: match settings.estimator {
+                Estimator::Lobe(n) => Estimator::Lobe(n.div_ceil(FINER)),
+                frustum => frustum,
+            },
+            ..*settings
+        };
+        let gathers = settings.method == Method::TwoPass(Quality::Gather);
+        let looks = gathers && scene.faces.iter().any(|f| scene.material(f).has_perfect_lobe());
+        let landings = Landings::new(scene, emitters, solution);
+        let finer = looks.then_some(finer);
+        Shader { visibility, emitters, solution, landings, settings: *settings, finer }
+    }
+
+    /// Mean radiance over pixels of one block [W m^-2 sr^-1], and the rays cast for them.
+    fn block(&self, frame: &CameraFrame, pixels: &[(u32, u32)]) -> (Vec<Rgb>, u64) {
+        let &Shader { visibility, emitters, solution, ref landings, settings, .. } = self;
+        let scene = visibility.scene();
         let context = |settings| Context {
             scene,
             visibility,
@@ -207,15 +254,15 @@ pub fn render(
             settings,
             rays: Cell::new(0),
         };
-        let coarse = context(*settings);
+        let coarse = context(settings);
         if settings.method == Method::Path {
             let path = |origin, direction, sampler| coarse.path(origin, direction, sampler);
             let radiance = pixels.iter().map(|at| pixel(frame, *at, (settings.spp, settings.seed), path));
             return (radiance.collect(), coarse.rays.get());
         }
-        if !looks {
+        let Some(finer) = self.finer else {
             return (coarse.block(frame, pixels)[..pixels.len()].to_vec(), coarse.rays.get());
-        }
+        };
         coarse.cast(PROBES * PROBES * pixels.len() as u32);
         let finely = |at: &(u32, u32)| sees_perfect_lobe(visibility, frame, at.0, at.1);
         let (many, few): (Vec<_>, Vec<_>) = pixels.iter().partition(|at| finely(at));
@@ -226,7 +273,31 @@ pub fn render(
         }
         let radiance = |at: &(u32, u32)| found.iter().find(|f| f.0 == *at).map_or(Rgb::ZERO, |f| f.1);
         (pixels.iter().map(radiance).collect(), coarse.rays.get() + finer.rays.get())
-    })
+    }
+}
+
+/// Which pixels of an image see no emitter directly nor have a neighbour that does, row by row: errors are measured over them
+/// (DESIGN section 2), as the edges of lamps would hide all else.
+pub fn sees_no_emitter(visibility: &Visibility, emitters: &Emitters, camera: &Camera) -> Vec<bool> {
+    const RAYS: u32 = 4;
+    let frame = camera.frame(visibility.scene());
+    let [width, height] = camera.size;
+    let sees = |x: u32, y: u32| {
+        (0..RAYS * RAYS).any(|k| {
+            let at = |j: u32| (f64::from(j) + 0.5) / f64::from(RAYS);
+            let direction = frame.direction(f64::from(x) + at(k % RAYS), f64::from(y) + at(k / RAYS));
+            let hit = visibility.closest(frame.origin().as_vec3(), direction.as_vec3(), u32::MAX);
+            hit.is_some_and(|hit| emitters.at(hit.face, hit.front).is_some())
+        })
+    };
+    let seen: Vec<bool> = (0..width * height).into_par_iter().map(|k| sees(k % width, k / width)).collect();
+    let near = |k: u32, n: u32| k.saturating_sub(1)..(k + 2).min(n);
+    (0..width * height)
+        .map(|k| {
+            let (x, y) = (k % width, k / width);
+            !near(y, height).any(|j| near(x, width).any(|i| seen[(j * width + i) as usize]))
+        })
+        .collect()
 }
 
 /// Renders directional radiosity ([`Directional`]): every surface shows what was solved for, emitters their emission.

@@ -8,6 +8,7 @@ pub mod plot;
 pub mod suite;
 pub(crate) mod text;
 
+use crate::accuracy::Achieved;
 use crate::color::Rgb;
 use crate::form_factor::pairs::PairCounts;
 use crate::form_factor::{Correction, Factors as WrittenFactors, Found, HemicubeErrors, HemicubeSettings};
@@ -227,6 +228,9 @@ pub struct Report {
     /// The file that pass 1 was taken from, and what was said about it there.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub solution: Option<KeptReport>,
+    /// How wrong the picture is, where an error was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub accuracy: Option<Achieved>,
     /// Frame by frame, where a path was rendered.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub frames: Vec<FrameTime>,
@@ -264,6 +268,7 @@ impl Report {
             rays_per_second: if seconds > 0.0 { rays as f64 / seconds } else { 0.0 },
             pass1: None,
             solution: None,
+            accuracy: None,
             frames: Vec::new(),
             form_factors: None,
             peak_memory_bytes: peak_memory(),

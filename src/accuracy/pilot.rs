@@ -1,0 +1,281 @@
+//! What a few pixels tell before the picture is rendered: how wrong each quality is on elements of each size, and how
+//! noisy.
+//!
+//! The same pixels are rendered at every quality on a ladder of element sizes, from two independent solutions of pass 1. A
+//! quality's systematic error on a level is the mean over the pixels of products of two independent differences from a
+//! reference, so noise cancels out (as in [`crate::image::relative_rmse_halves`]). The reference is what gathering tends
+//! to as elements become finer: its values on the two finest levels, extrapolated. Every difference is taken
+//! between pictures with the same view rays, which cancels most of the noise beforehand.
+
+use super::{QUALITIES, View};
+use crate::color::Rgb;
+use crate::image::Image;
+use crate::mesh::default_element_size;
+use crate::pipeline::{Pass1, Stage, solve_within};
+use crate::radiosity::Solution;
+use crate::render::{Method, Quality, Settings, render_pixels, sees_no_emitter};
+use crate::sampling::seed_of;
+use crate::{Error, Result};
+
+/// Pixels looked at, about.
+const PIXELS: usize = 4096;
+/// From this error on, half of them and fewer samples will do.
+const COARSE: f64 = 0.025;
+/// Below this error, more rays and samples are needed.
+const FINE: f64 = 0.006;
+/// Element size of the first level over [`default_element_size`]: some hundred elements in a simple room.
+const COARSEST: f64 = 4.0;
+/// Extrapolation from the two finest levels: with an error that falls as the element size to the power p, the finest is
+/// off by this times their difference, 1 / (2^p - 1). Measured: p is 1.1 to 1.3 for gathering.
+const BEYOND: f64 = 0.8;
+/// Share of the pixels at which noise is measured where that is dear.
+const SHARE: usize = 4;
+/// Samples a pixel at which noise is measured; the last at fewer pixels.
+const LADDER: [u32; 3] = [1, 4, 16];
+
+/// Means of the products of two lists of differences, by pixel, with the standard error.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct Square {
+    /// The estimate, with its sign.
+    pub value: f64,
+    /// Its standard error, taking pixels as independent.
+    pub error: f64,
+}
+
+impl Square {
+    /// What may be counted on: the estimate and one standard error, not below zero.
+    pub fn safe(&self) -> f64 {
+        (self.value + self.error).max(0.0)
+    }
+}
+
+/// Values of the pilot's pixels at one quality.
+struct Sampled {
+    /// From two independent runs of both passes.
+    runs: [Vec<Rgb>; 2],
+    /// Pass 1 of the second run, pass 2 of the first, at the pixels of [`Pilot::few`].
+    crossed: Vec<Rgb>,
+    /// Rays cast for a sample of a pixel.
+    rays: f64,
+}
+
+/// One element size.
+pub(super) struct Level {
+    /// Largest element edge \[m\].
+    pub element_size: f64,
+    /// Elements.
+    pub elements: usize,
+    /// Rays of pass 1 for each ray an element.
+    pub rays: f64,
+    /// Rays an element.
+    rays_each: u32,
+    /// By quality.
+    sampled: [Sampled; 3],
+}
+
+/// All that is known before the picture is rendered; squared errors are relative to the squared mean of the pixels.
+pub(super) struct Pilot<'a, 's> {
+    view: &'a View<'a, 's>,
+    seed: u32,
+    /// Rays an element, from the third level on.
+    pub rays: u32,
+    spp: u32,
+    pub pixels: Vec<[u32; 2]>,
+    /// One in [`SHARE`] of them.
+    few: Vec<[u32; 2]>,
+    pub levels: Vec<Level>,
+    /// Variance of a pixel at each of [`LADDER`]'s samples, by quality.
+    noise: [[f64; LADDER.len()]; 3],
+    /// Rays cast.
+    pub cast: u64,
+}
+
+impl<'a, 's> Pilot<'a, 's> {
+    /// Looks at pixels of the mask; `error` is what will be asked of the picture.
+    pub fn new(view: &'a View<'a, 's>, mask: &[bool], error: f64, seed: u32) -> Pilot<'a, 's> {
+        // So many that the systematic error is known to well below the one asked for.
+        let (pixels, rays, spp) = match error {
+            e if e < FINE => (PIXELS, 1024, 16),
+            e if e < COARSE => (PIXELS, 256, 8),
+            _ => (PIXELS / 2, 256, 4),
+        };
+        let pixels = choose_pixels(view.camera.size, mask, pixels, seed);
+        let few = pixels.iter().step_by(SHARE).copied().collect();
+        let noise = Default::default();
+        Pilot { view, seed, rays, spp, pixels, few, levels: Vec::new(), noise, cast: 0 }
+    }
+
+    /// Adds the next finer level; `false` where memory forbids it. The first two are needed.
+    pub fn refine(&mut self) -> Result<bool> {
+        let scene = self.view.visibility.scene();
+        let element_size = COARSEST * default_element_size(scene) * 0.5f64.powi(self.levels.len() as i32);
+        // Few elements have much noise in common between the pixels of each.
+        let rays_each = self.rays << 2usize.saturating_sub(self.levels.len());
+        let mut runs = Vec::new();
+        let mut rays = 0;
+        for run in 0..2 {
+            let settings =
+                Pass1 { rays: rays_each, element_size: Some(element_size), seed: self.seed_of(run) };
+            let mut stages: Vec<Stage> = Vec::new();
+            let View { visibility, emitters, view_points, limit, .. } = *self.view;
+            let solved =
+                solve_within(limit, visibility, emitters, view_points, &settings, &|_| (), &mut stages);
+            rays += stages.iter().map(|s| s.rays).sum::<u64>();
+            runs.push(match solved {
+                Err(Error::Usage(_)) if self.levels.len() > 1 => return Ok(false),
+                other => other?.solution,
+            });
+        }
+        self.cast += rays;
+        if self.levels.is_empty() {
+            self.measure_noise(&runs[0]);
+        }
+        let sampled = QUALITIES.map(|quality| {
+            let one = |solution, run, pixels| self.render(quality, (solution, pixels), self.spp, run);
+            let (first, cast) = one(&runs[0], 0, &self.pixels);
+            let (second, more) = one(&runs[1], 1, &self.pixels);
+            let (crossed, rest) = one(&runs[1], 0, &self.few);
+            self.cast += cast + more + rest;
+            let samples = (self.pixels.len() * self.spp as usize).max(1);
+            Sampled { runs: [first, second], crossed, rays: cast as f64 / samples as f64 }
+        });
+        let rays = rays as f64 / f64::from(2 * rays_each);
+        self.levels.push(Level { element_size, elements: runs[0].mesh.len(), rays, rays_each, sampled });
+        Ok(true)
+    }
+
+    fn seed_of(&self, run: u32) -> u32 {
+        seed_of(&[self.seed, run, 0x9170])
+    }
+
+    fn render(
+        &self,
+        quality: Quality,
+        (solution, pixels): (&Solution, &[[u32; 2]]),
+        spp: u32,
+        run: u32,
+    ) -> (Vec<Rgb>, u64) {
+        let View { visibility, emitters, camera, settings, .. } = *self.view;
+        let settings =
+            Settings { method: Method::TwoPass(quality), spp, seed: self.seed_of(run), ..settings };
+        render_pixels(visibility, emitters, Some(solution), (camera, pixels), &settings)
+    }
+
+    fn measure_noise(&mut self, solution: &Solution) {
+        for (q, quality) in QUALITIES.into_iter().enumerate() {
+            for (k, spp) in LADDER.into_iter().enumerate() {
+                let pixels = if k + 1 < LADDER.len() { &self.pixels } else { &self.few };
+                let (a, cast) = self.render(quality, (solution, pixels), spp, 2);
+                let (b, more) = self.render(quality, (solution, pixels), spp, 3);
+                self.cast += cast + more;
+                let mean = mean(&a).max(f64::MIN_POSITIVE);
+                self.noise[q][k] = 0.5 * product(&minus(&a, &b), &minus(&a, &b)).value / (mean * mean);
+            }
+        }
+    }
+
+    /// Mean of the pixels on the finest level [W m^-2 sr^-1].
+    pub fn mean(&self) -> f64 {
+        self.levels.last().map_or(0.0, |l| mean(&l.sampled[2].runs[0]))
+    }
+
+    /// Variance of a pixel by pass 2 with so many samples, relative: by the power law between measured points, and beyond them.
+    pub fn noise(&self, quality: usize, spp: u32) -> f64 {
+        let v = &self.noise[quality];
+        let k = LADDER[1..].iter().position(|n| spp <= *n).unwrap_or(LADDER.len() - 2);
+        let (n, m) = (f64::from(LADDER[k]), f64::from(LADDER[k + 1]));
+        if v[k + 1] <= 0.0 || v[k] <= 0.0 {
+            return v[k + 1].max(v[k]);
+        }
+        let power = (v[k] / v[k + 1]).ln() / (m / n).ln();
+        v[k + 1] * (m / f64::from(spp)).powf(power.clamp(0.5, 2.0))
+    }
+
+    /// Variance of a pixel by pass 1 with one ray an element, relative.
+    pub fn noise_of_pass1(&self, quality: usize, level: usize) -> f64 {
+        let Level { sampled, rays_each, .. } = &self.levels[level];
+        let s = &sampled[quality];
+        let first: Vec<Rgb> = s.runs[0].iter().step_by(SHARE).copied().collect();
+        let d = minus(&first, &s.crossed);
+        0.5 * f64::from(*rays_each) * product(&d, &d).value / self.mean().powi(2)
+    }
+
+    /// Rays of pass 2 for a sample of a pixel.
+    pub fn rays_per_sample(&self, quality: usize) -> f64 {
+        self.levels[0].sampled[quality].rays
+    }
+
+    /// Squared systematic error of a quality on a level, relative; needs two levels.
+    pub fn bias(&self, quality: usize, level: usize) -> Square {
+        let [.., coarse, fine] = &self.levels[..] else { return Square { value: f64::INFINITY, error: 0.0 } };
+        let differences: Vec<Vec<Rgb>> = (0..2)
+            .map(|run| {
+                let (fine, coarse) = (&fine.sampled[2].runs[run], &coarse.sampled[2].runs[run]);
+                let x = &self.levels[level].sampled[quality].runs[run];
+                let limit = fine.iter().zip(coarse).map(|(f, c)| *f + BEYOND * (*f - *c));
+                x.iter().zip(limit).map(|(x, limit)| *x - limit).collect()
+            })
+            .collect();
+        let square = product(&differences[0], &differences[1]);
+        let mean = self.mean();
+        Square { value: square.value / (mean * mean), error: square.error / (mean * mean) }
+    }
+}
+
+fn minus(a: &[Rgb], b: &[Rgb]) -> Vec<Rgb> {
+    a.iter().zip(b).map(|(a, b)| *a - *b).collect()
+}
+
+fn mean(a: &[Rgb]) -> f64 {
+    a.iter().map(|v| crate::color::mean(*v)).sum::<f64>() / a.len().max(1) as f64
+}
+
+/// Mean over the pixels of the products of two differences, over the three channels.
+fn product(a: &[Rgb], b: &[Rgb]) -> Square {
+    let n = a.len().max(1) as f64;
+    let (mut sum, mut squares) = (0.0, 0.0);
+    for (a, b) in a.iter().zip(b) {
+        let p = a.dot(*b) / 3.0;
+        sum += p;
+        squares += p * p;
+    }
+    let value = sum / n;
+    Square { value, error: ((squares / n - value * value).max(0.0) / n).sqrt() }
+}
+
+/// One pixel of each block of the image, of those that count.
+fn choose_pixels([width, height]: [u32; 2], mask: &[bool], most: usize, seed: u32) -> Vec<[u32; 2]> {
+    let count = mask.iter().filter(|m| **m).count();
+    let step = ((count as f64 / most as f64).sqrt().ceil() as u32).max(1);
+    let mut pixels = Vec::new();
+    for y in (0..height).step_by(step as usize) {
+        for x in (0..width).step_by(step as usize) {
+            let k = seed_of(&[seed, x, y, 0x9171]);
+            let at = [x + k % step, y + (k >> 8) % step];
+            let inside = at[0] < width && at[1] < height;
+            if inside && mask[(at[1] * width + at[0]) as usize] {
+                pixels.push(at);
+            }
+        }
+    }
+    pixels
+}
+
+/// The pixels over which the error is meant: all that see no emitter directly.
+pub(super) fn mask(view: &View) -> Vec<bool> {
+    sees_no_emitter(view.visibility, view.emitters, view.camera)
+}
+
+/// Squared difference of two images over the pixels of a mask, and the mean of both.
+pub(super) fn difference(a: &Image, b: &Image, mask: &[bool]) -> (f64, f64) {
+    let (mut square, mut sum, mut n) = (0.0, 0.0, 0.0);
+    for i in (0..mask.len()).filter(|i| mask[*i]) {
+        for c in 3 * i..3 * i + 3 {
+            let (a, b) = (f64::from(a.data[c]), f64::from(b.data[c]));
+            square += (a - b) * (a - b);
+            sum += 0.5 * (a + b);
+            n += 1.0;
+        }
+    }
+    (square / f64::max(n, 1.0), sum / f64::max(n, 1.0))
+}
