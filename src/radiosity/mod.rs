@@ -177,7 +177,7 @@ pub fn solve(
     let radiosity: Vec<Rgb> = emitted.iter().zip(&reflected).map(|(e, r)| *e + *r).collect();
     Ok(Solution {
         ledger: Ledger::new(scene, &mesh, rows, emitters, &emitted, &reflected, &irradiance, &replicas),
-        standard_error: replicas.by_element(scene, &mesh, &transport),
+        standard_error: replicas.by_element(scene, &mesh, &transport, &open),
         objects: replicas.by_object(scene, &mesh, &transport, &radiosity),
         radiosity,
         reflected: field(&reflected),

@@ -3,6 +3,7 @@
 use super::Solution;
 use crate::color;
 use crate::form_factor::Rows;
+use crate::mesh::NONE;
 use crate::scene::Scene;
 
 /// Relative standard error of an object's reflected light above which a warning names it.
@@ -27,6 +28,7 @@ pub fn warnings(scene: &Scene, solution: &Solution, rows: Rows) -> Vec<String> {
         ));
     }
     uncertain(solution, &mut warnings);
+    dark(scene, solution, &mut warnings);
     let l = &solution.ledger;
     for c in 0..3 {
         let (off, error) = (l.residual[c].abs(), l.residual_error[c]);
@@ -67,6 +69,33 @@ fn uncertain(solution: &Solution, warnings: &mut Vec<String>) {
             "radiosity is uncertain: cast more rays (--rays); standard errors of means ({})",
             names.join(", ")
         ));
+    }
+}
+
+/// Names objects that would reflect light but got none, and those that nothing was found to reach.
+fn dark(scene: &Scene, solution: &Solution, warnings: &mut Vec<String>) {
+    let n = scene.objects.len();
+    let (mut reflects, mut reached, mut lit) = (vec![false; n], vec![false; n], vec![false; n]);
+    for (k, face) in scene.faces.iter().enumerate() {
+        let (k, object, material) = (k as u32, face.object as usize, scene.material(face));
+        // Emitters are seen whatever falls on them.
+        let emits = material.is_emitter();
+        reflects[object] |= (material.diffuse + material.diffuse_transmission).max_element() > 0.0 && !emits;
+        reached[object] |= [true, false].iter().any(|front| solution.mesh.first(k, *front) != NONE);
+        lit[object] |= emits;
+    }
+    solution.objects.iter().for_each(|o| lit[o.object as usize] |= o.radiosity.max_element() > 0.0);
+    let named = |of: &dyn Fn(usize) -> bool| -> Option<String> {
+        let objects: Vec<usize> = (0..n).filter(|o| reflects[*o] && of(*o)).collect();
+        let names = objects.iter().take(NAMED).map(|o| format!("object \"{}\"", scene.objects[*o]));
+        let names: Vec<String> = names.chain((objects.len() > NAMED).then(|| "...".into())).collect();
+        (!objects.is_empty()).then(|| names.join(", "))
+    };
+    if let Some(names) = named(&|o| reached[o] && !lit[o]) {
+        warnings.push(format!("no ray found any light on what can be reached: it is shown black ({names}); cast more rays (--rays)"));
+    }
+    if let Some(names) = named(&|o| !reached[o]) {
+        warnings.push(format!("nothing was found to reach any side of some objects: they are shown black, as if enclosed ({names})"));
     }
 }
 

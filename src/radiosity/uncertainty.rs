@@ -151,8 +151,8 @@ impl Replicas {
         (squares * self.scale).map(f64::sqrt)
     }
 
-    /// Standard error of every element's radiosity [W m^-2].
-    pub fn by_element(&self, scene: &Scene, mesh: &Mesh, transport: &Transport) -> Vec<Rgb> {
+    /// Standard error of every element's radiosity [W m^-2]; `open` are the elements' open shares.
+    pub fn by_element(&self, scene: &Scene, mesh: &Mesh, transport: &Transport, open: &[f64]) -> Vec<Rgb> {
         let mut variance = vec![Rgb::ZERO; mesh.len()];
         for d in &self.differences {
             for (v, r) in variance.iter_mut().zip(transport.reflect(&wide(d))) {
@@ -166,11 +166,13 @@ impl Replicas {
             .into_par_iter()
             .map(|e| {
                 let (mut sum, mut count) = (Rgb::ZERO, 0.0);
+                // An element that is all but covered has next to no rays of its own: it must not speak for its neighbours.
                 neighbours(scene, mesh, e, |k| {
-                    sum += variance[k as usize];
-                    count += 1.0;
+                    sum += variance[k as usize] * open[k as usize];
+                    count += open[k as usize];
                 });
-                (sum / count).map(f64::sqrt)
+                let mean = if count > 0.0 { sum / count } else { variance[e as usize] };
+                mean.map(f64::sqrt)
             })
             .collect()
     }
