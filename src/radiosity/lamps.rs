@@ -18,17 +18,20 @@ use crate::embree::{LANES, ShadowPacket};
 use crate::emitters::Emitters;
 use crate::form_factor::EmitterIrradiance;
 use crate::form_factor::analytic::{Polygon, exchange};
-use crate::mesh::Mesh;
+use crate::mesh::{Mesh, NONE, side_index};
 use crate::sampling::{self, seed_of, sobol};
 use crate::scene::Scene;
 use crate::visibility::Visibility;
 use glam::DVec3;
+use rayon::prelude::*;
 use std::f64::consts::PI;
 
 /// Relative error of the irradiance with nothing between.
 const ACCURACY: f64 = 1e-8;
 /// Emitters within so many of their radii are sampled by solid angle.
 const NEAR: f64 = 1.5;
+/// Scenes of more faces are not searched for what may hide an emitter: something may.
+const MOST_CHECKED: usize = 500;
 /// Smaller solid angles lose too many digits to be sampled.
 const LEAST_SOLID_ANGLE: f64 = 1e-6;
 
@@ -37,6 +40,8 @@ pub(super) struct Lamps<'a, 's> {
     visibility: &'a Visibility<'s>,
     mesh: &'a Mesh,
     lamps: Vec<Lamp>,
+    /// By side: something may hide a lamp from it.
+    hidden: Vec<bool>,
 }
 
 struct Lamp {
@@ -69,8 +74,17 @@ impl<'a, 's> Lamps<'a, 's> {
             let middle = polygon.middle();
             Lamp { face, polygon, radiance, middle, radius: polygon.radius(middle), area: f.area }
         };
-        let lamps = emitters.are_few().then(|| emitters.sides().map(lamp).collect())?;
-        Some(Lamps { visibility, mesh, lamps })
+        let lamps: Vec<Lamp> = emitters.are_few().then(|| emitters.sides().map(lamp).collect())?;
+        let mut lamps = Lamps { visibility, mesh, lamps, hidden: Vec::new() };
+        let hidden = |side: u32| {
+            let f = &scene.faces[side as usize / 2];
+            let polygon = Polygon::of_face(scene, f);
+            let front = side % 2 == 0;
+            let seen_from = if front { polygon } else { Polygon::new(polygon.corners(), -f.normal) };
+            mesh.first(side / 2, front) != NONE && lamps.may_be_hidden(&seen_from, side / 2)
+        };
+        lamps.hidden = (0..2 * scene.faces.len() as u32).into_par_iter().map(hidden).collect();
+        Some(lamps)
     }
 
     /// Irradiance on an element in each of `batches` independent randomisations of `count` samples [W m^-2].
@@ -96,6 +110,18 @@ impl<'a, 's> Lamps<'a, 's> {
         let sums: Vec<Sums> = (0..batches)
             .map(|b| self.batch(element, &chosen, count, seed_of(&[seed, element, b, 0x1a3])))
             .collect();
+        // Where something may hide an emitter and no sample met it, all randomisations agree and may yet be wrong. The spread of one
+        // more hidden sample on the whole side (a rule of succession): nothing but the standard error sees it.
+        let doubt = |b: usize| {
+            let (face, front, _) = self.mesh.place(element);
+            let side = self.hidden[side_index(face, front)];
+            let paired = 2 * (sums.len() / 2);
+            if !side || b >= paired {
+                return Rgb::ZERO;
+            }
+            let all = f64::from(batches * count.max(1)) * (self.mesh.grid(face).len() as f64).sqrt();
+            whole * (((batches - 1) as f64).sqrt() / all * if b % 2 == 0 { 1.0 } else { -1.0 })
+        };
         let combine = |b: usize| {
             // The share seen by the others; by the only one, where it is alone.
             let others =
@@ -104,11 +130,35 @@ impl<'a, 's> Lamps<'a, 's> {
             let beta = color::mean(seen) / color::mean(all);
             let beta = if beta.is_finite() { beta } else { 0.0 };
             let n = f64::from(count.max(1));
-            let mut light = EmitterIrradiance::default();
-            light.straight = sums[b].seen / n + beta * (whole - sums[b].all / n);
-            light
+            let straight = sums[b].seen / n + beta * (whole - sums[b].all / n) + doubt(b);
+            EmitterIrradiance { straight, ..Default::default() }
         };
         (0..sums.len()).map(combine).collect()
+    }
+
+    /// Whether some face could hide part of an emitter from a side of a face. A face cannot that has both of them on one
+    /// side of its plane, or that lies behind either one's plane.
+    fn may_be_hidden(&self, from: &Polygon, face: u32) -> bool {
+        let scene = self.visibility.scene();
+        if scene.faces.len() > MOST_CHECKED {
+            return true;
+        }
+        let eps = 1e-9 * scene.radius;
+        let ahead = |of: &Polygon, c: &DVec3| (*c - of.corners()[0]).dot(of.normal) > eps;
+        self.lamps.iter().filter(|l| l.face != face).any(|lamp| {
+            scene.faces.iter().enumerate().any(|(k, f)| {
+                if k as u32 == face || k as u32 == lamp.face {
+                    return false;
+                }
+                let screen = Polygon::of_face(scene, f);
+                let ends = || from.corners().iter().chain(lamp.polygon.corners());
+                let height = |c: &DVec3| (*c - screen.corners()[0]).dot(screen.normal);
+                screen.corners().iter().any(|c| ahead(from, c))
+                    && screen.corners().iter().any(|c| ahead(&lamp.polygon, c))
+                    && ends().any(|c| height(c) > eps)
+                    && ends().any(|c| height(c) < -eps)
+            })
+        })
     }
 
     fn batch(&self, element: u32, chosen: &Chosen, count: u32, seed: u32) -> Sums {

@@ -12,8 +12,8 @@
 //! closed body. Of a sheet that nothing found, [`TRIED`] sides stand for all: they share more
 //! segments than its many sides would get one by one. Once one of them is found, each side is tried.
 
-use super::Visibility;
 use super::offset::shared_edges;
+use super::{SurfaceHit, Visibility};
 use crate::bsdf;
 use crate::geometry::Frame;
 use crate::mesh::{Sides, side_index};
@@ -191,7 +191,7 @@ fn connect(visibility: &Visibility, reached: &mut [bool], seen: &[(u32, DVec3)],
         let segments = (SEGMENTS / missing).clamp(SEGMENTS_OF_ONE.0, SEGMENTS_OF_ONE.1);
         let rays = (RAYS / missing).clamp(RAYS_OF_ONE.0, RAYS_OF_ONE.1);
         let aimed = (AIMED / missing).clamp(AIMED_OF_ONE.0, AIMED_OF_ONE.1);
-        let work = Work { rays, segments, aimed, outside, reached };
+        let work = Work { rays, segments, aimed, outside };
         let try_one = |s: u32| Some((s as usize, connects(visibility, s, &witnesses, &work, seed)?));
         let news: Vec<(usize, Place)> = tried.into_par_iter().filter_map(try_one).collect();
         if news.is_empty() {
@@ -206,12 +206,10 @@ fn connect(visibility: &Visibility, reached: &mut [bool], seen: &[(u32, DVec3)],
 }
 
 /// What is tried from one side that no particle found.
-struct Work<'a> {
+struct Work {
     rays: u32,
     segments: u32,
     aimed: u32,
-    /// The sides found so far.
-    reached: &'a [bool],
     /// Light comes from outside: a ray that leaves the scene is proof.
     outside: bool,
 }
@@ -221,13 +219,21 @@ fn connects(
     visibility: &Visibility,
     side: u32,
     witnesses: &[Place],
-    work: &Work<'_>,
+    work: &Work,
     seed: u32,
 ) -> Option<Place> {
     let scene = visibility.scene();
     let face = &scene.faces[side as usize / 2];
     let normal = face.normal * if side % 2 == 0 { 1.0 } else { -1.0 };
     let (p0, e1, e2) = scene.face_frame(face);
+    let stone_is_free = |hit: &SurfaceHit, choice: f64| {
+        let stone = visibility.point(hit);
+        let stone = Place { face: stone.face, point: stone.point, normal: stone.geometric };
+        (0..STEPPING_STONES).any(|i| {
+            let r = (choice + f64::from(i) / f64::from(STEPPING_STONES)).fract();
+            free(visibility, &stone, witnesses, r)
+        })
+    };
     let found = (0..work.segments.max(work.rays)).find_map(|k| {
         let p = sobol(k, 0, seed_of(&[seed, side, 0xc0]));
         let (u, v) = if face.is_triangle() { sampling::triangle(p[0], p[1]) } else { (p[0], p[1]) };
@@ -244,13 +250,7 @@ fn connects(
         }
         let Some(hit) = visibility.closest(origin, d, side / 2) else { return work.outside.then_some(here) };
         // Most witnesses may lie behind a small face: from where its light goes, they can be seen.
-        let stone = visibility.point(&hit);
-        let stone = Place { face: stone.face, point: stone.point, normal: stone.geometric };
-        let seen = (0..STEPPING_STONES).any(|i| {
-            let r = (q[2] + f64::from(i) / f64::from(STEPPING_STONES)).fract();
-            free(visibility, &stone, witnesses, r)
-        });
-        seen.then_some(here)
+        stone_is_free(&hit, q[2]).then_some(here)
     });
     if found.is_some() {
         return found;
@@ -268,10 +268,10 @@ fn connects(
             return None;
         }
         let origin = visibility.leave(here.face, here.point, normal);
-        proofs += match visibility.closest(origin, d.as_vec3(), here.face) {
-            Some(hit) => u32::from(work.reached[side_index(hit.face, hit.front)]),
-            None => u32::from(work.outside),
-        };
+        proofs += u32::from(match visibility.closest(origin, d.as_vec3(), here.face) {
+            Some(hit) => stone_is_free(&hit, p[3]),
+            None => work.outside,
+        });
         (proofs >= PROOF).then_some(here)
     })
 }
