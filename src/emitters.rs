@@ -22,6 +22,8 @@ const MAX_MIRRORS: usize = 32;
 /// A receiver this near to a mirror's plane, as a share of the scene's radius, is part of it.
 const ON_MIRROR: f64 = 1e-9;
 const NONE: u32 = u32::MAX;
+/// As many emitting sides as are few: their light is calculated one by one for every element.
+const FEW: usize = 16;
 /// Rays that find the medium in front of an emitter, in scenes with glass.
 const MEDIUM_RAYS: u32 = 32;
 
@@ -38,6 +40,7 @@ pub struct Emitters {
 #[derive(Debug, Clone, Copy)]
 struct EmitterSide {
     face: u32,
+    front: bool,
     /// Over the squared index of the medium [W m^-2 sr^-1].
     radiance: Rgb,
     /// Squared index of the medium in front of it: above 1 inside of glass.
@@ -111,6 +114,7 @@ impl Emitters {
                     let radiance = radiance / index2;
                     sides.push(EmitterSide {
                         face: k as u32,
+                        front,
                         radiance,
                         index2,
                         normal,
@@ -146,6 +150,16 @@ impl Emitters {
     /// Number of emitting sides.
     pub fn len(&self) -> usize {
         self.sides.len()
+    }
+
+    /// Whether pass 1 calculates the straight light of each emitter by itself: rows' rays then leave it alone.
+    pub fn are_few(&self) -> bool {
+        (1..=FEW).contains(&self.sides.len())
+    }
+
+    /// Face, side and radiance (over the squared index of the medium) of every emitting side.
+    pub fn sides(&self) -> impl Iterator<Item = (u32, bool, Rgb)> + '_ {
+        self.sides.iter().map(|s| (s.face, s.front, s.radiance))
     }
 
     /// The emitters have sampled mirror images.

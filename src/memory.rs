@@ -27,7 +27,7 @@ pub struct Need {
 pub enum Factors {
     /// Kept in a matrix.
     Kept,
-    /// Cast again for each multiplication: slower, without a matrix, and with the same result.
+    /// Cast again for each multiplication: slower, without a matrix, and with the same result, but never made reciprocal.
     CastAgain,
 }
 

@@ -82,12 +82,12 @@ impl EmitterRows {
         Rgb::from(self.total[element * self.batches + batch].map(f64::from))
     }
 
-    /// Adds what `find` tells of each (element, randomisation), on all cores.
-    pub fn add(&mut self, find: impl Fn(u32, u32) -> EmitterIrradiance + Sync) {
+    /// Adds what `find` tells of each element, one value a randomisation, on all cores.
+    pub fn add<T: IntoIterator<Item = EmitterIrradiance>>(&mut self, find: impl Fn(u32) -> T + Sync) {
         let rows = self.mean.par_iter_mut().zip(self.total.par_chunks_exact_mut(self.batches));
         rows.enumerate().with_min_len(16).for_each(|(element, (mean, totals))| {
-            for (batch, total) in totals.iter_mut().enumerate() {
-                add_batch(mean, total, find(element as u32, batch as u32), self.batches);
+            for (total, found) in totals.iter_mut().zip(find(element as u32)) {
+                add_batch(mean, total, found, self.batches);
             }
         });
     }

@@ -39,7 +39,7 @@ pub struct Casting<'a> {
     /// element and does not count. None: every ray counts.
     pub reached: Option<&'a Sides>,
     /// Emitters whose light is gathered on the way, and their own samples, which share the work by
-    /// multiple importance sampling.
+    /// multiple importance sampling. Of few emitters ([`Emitters::are_few`]) only what comes over specular chains.
     pub emitters: Option<(&'a Emitters, EmitterWork)>,
     /// Called with the number of elements finished.
     pub progress: &'a (dyn Fn(u64) + Sync),
@@ -111,7 +111,7 @@ struct Target {
 fn targets(scene: &Scene, mesh: &Mesh, casting: &Casting) -> Vec<Target> {
     let kind = |k: u32, front: bool| {
         let material = scene.material(&scene.faces[k as usize]);
-        let emitter = casting.emitters.is_some_and(|(e, _)| e.at(k, front).is_some());
+        let emitter = casting.emitters.is_some_and(|(e, _)| !e.are_few() && e.at(k, front).is_some());
         let specular = casting.specular && material.is_specular() && (front || material.two_sided);
         // A specular side leads on wherever it is; only a side that would end the ray can prove it covered.
         let unreached = !specular && casting.reached.is_some_and(|r| !r.contains(k, front));

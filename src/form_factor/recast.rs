@@ -109,6 +109,17 @@ impl<'a> Rows<'a> {
         all
     }
 
+    /// Visits one row of a matrix in memory.
+    ///
+    /// # Panics
+    /// Where rows are cast again.
+    pub fn map_one<T>(&self, k: usize, f: impl FnOnce(&Row) -> T) -> T {
+        match self {
+            Rows::Kept(matrix) => f(&matrix.at(k)),
+            Rows::Cast(_) => panic!("a single row of those that are cast again"),
+        }
+    }
+
     /// Visits the rows in runs on all cores, one value a run, in order.
     fn tasks<T: Send>(&self, f: impl Fn(&Run) -> T + Sync) -> Vec<T> {
         match self {

@@ -64,6 +64,7 @@ pub(super) const CASES: &[Case] = &[
     case("rays through vertices and edges", "missed or doubled hits", "every ray hits", through_vertices),
     case("needle-thin light", "never hit, elements explode", "quadrature", needle),
     case("light of 1e-6 of the room", "never hit", "point source", tiny_light),
+    case("light that all but lies on the floor", "1/r^2 without bound", "quadrature", low_light),
     case("default elements on slivers", "elements explode", "furnace", default_elements),
     Case { pace: Pace::Minutes, ..case("sphere of a million triangles", "memory", "furnace", million) },
 ];
@@ -412,6 +413,20 @@ fn tiny_light() -> Result<Outcome> {
     let lamp = plate([0.5 - 5e-7, 0.5 + 5e-7], [0.5 - 5e-7, 0.5 + 5e-7], 0.8, false);
     // By reciprocity: the factor from a point of the lamp to the floor, times the ratio of areas.
     let exact = 0.5 * 1e-12 * point_factor(DVec3::new(0.5, 0.5, 0.8), DVec3::NEG_Z, &floor);
+    let text = SceneText::new()
+        .cuboid("", |s| if s == "z0" { "grey".into() } else { "black".into() }, [0.0; 3], [1.0; 3], true)
+        .polygon("lamp", "lamp", &lamp)
+        .diffuse("grey", 0.5, 0.0)
+        .diffuse("black", 0.0, 0.0)
+        .diffuse("lamp", 0.0, 1.0);
+    solved(&text, 1024, Some(0.1), &[("z0", exact)])
+}
+
+/// A lamp of 1e-5 of the room, ten times as high above the floor.
+fn low_light() -> Result<Outcome> {
+    let (x, w, z) = (0.3, 1e-5, 1e-4);
+    let lamp = plate([x, x + w], [x, x + w], z, false);
+    let exact = 0.5 * w * w * factor(&lamp, &plate([0.0, 1.0], [0.0, 1.0], 0.0, true));
     let text = SceneText::new()
         .cuboid("", |s| if s == "z0" { "grey".into() } else { "black".into() }, [0.0; 3], [1.0; 3], true)
         .polygon("lamp", "lamp", &lamp)

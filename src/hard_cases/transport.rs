@@ -38,11 +38,12 @@ pub(super) const CASES: &[Case] = &[
     case("one lit wall, albedo 1 - 1e-6", "factors that are not reciprocal", "closed form", || {
         lit_wall(1.0 - 1e-6)
     }),
+    case("two halls, one door, albedo 0.999", "balance between the halls", "power emitted", halls),
     case(
-        "two halls, one door, albedo 0.999",
-        "balance between the halls",
-        "the same with a fine mesh",
-        halls,
+        "two halls, one door, albedo 1 - 1e-5",
+        "balance between the halls, a thousand steps",
+        "balance of power",
+        white_halls,
     ),
     case("perfect white, closed", "a large number where none exists", "an error", white),
     case("black surfaces", "division by zero", "quadrature", black),
@@ -101,9 +102,12 @@ fn lit_wall(albedo: f64) -> Result<Outcome> {
     solved(&text, 65_536, Some(10.0), &[("z1", 0.5 * (s + d)), ("z0", 0.5 * (s - d)), ("x0", w), ("y1", w)])
 }
 
+/// Half the width of the door between two halls.
+const DOOR: f64 = 0.05;
+
 /// Two halls joined by a door of a hundredth of a wall; light in one.
-fn halls() -> Result<Outcome> {
-    let (h, albedo) = (0.05, 0.999);
+fn two_halls(albedo: f64) -> SceneText {
+    let h = DOOR;
     let mut text = SceneText::new();
     for (name, x) in [("a-", 0.0), ("b-", 1.0)] {
         for (side, p) in box_sides([x, 0.0, 0.0], [1.0; 3], true) {
@@ -121,17 +125,36 @@ fn halls() -> Result<Outcome> {
     for (y, z) in [([0.0, 1.0], [0.0, a]), ([0.0, 1.0], [b, 1.0]), ([0.0, a], [a, b]), ([b, 1.0], [a, b])] {
         text = text.polygon("wall", "m", &frame(y, z));
     }
-    let scene = text.diffuse("m", albedo, 0.0).diffuse("lit", albedo, 1.0).load()?;
-    let result = solve(&scene, 2048, Some(0.25), 1)?;
-    // Each hall is nearly uniform; the balance of power of two such halls, from the door's factor, is right to
-    // the share of what the door takes, 1e-2 of a wall: compare the total, which is exact: absorbed = emitted.
-    let s = &result.solution;
+    text.diffuse("m", albedo, 0.0).diffuse("lit", albedo, 1.0)
+}
+
+/// What the walls absorb is what the lamp emits.
+fn halls() -> Result<Outcome> {
+    let albedo = 0.999;
+    let s = solve(&two_halls(albedo).load()?, 2048, Some(0.25), 1)?.solution;
     let absorbed: f64 =
         (0..s.mesh.len()).map(|e| s.mesh.area(e as u32) * s.irradiance[e].x * (1.0 - albedo)).sum();
     Ok(Outcome::Number {
         error: (absorbed / s.ledger.emitted.x - 1.0).abs(),
         standard_error: s.ledger.residual_error.x,
     })
+}
+
+/// Two halls so white that each is uniform: the balance of power of two unknowns. Light reaches the dark one through
+/// some hundred rays a wall, and both are within a percent of each other all the same.
+fn white_halls() -> Result<Outcome> {
+    let albedo = 1.0 - 1e-5;
+    let door = 4.0 * DOOR * DOOR;
+    let loss = (1.0 - albedo) * (6.0 - door);
+    // loss a + door rho (a - b) = 1 W, loss b = door rho (a - b).
+    let share = door * albedo / (loss + door * albedo);
+    let a = 1.0 / (loss + door * albedo * (1.0 - share));
+    solved(
+        &two_halls(albedo),
+        1024,
+        Some(0.25),
+        &[("a-z0", a), ("a-y1", a), ("b-z1", share * a), ("b-x1", share * a), ("b-y0", share * a)],
+    )
 }
 
 fn white() -> Result<Outcome> {

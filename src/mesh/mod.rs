@@ -358,6 +358,12 @@ impl Mesh {
         (side / 2, side % 2 == 0, element - self.first[side as usize])
     }
 
+    /// The side that an element is on, by [`side_index`].
+    #[inline]
+    pub fn side(&self, element: u32) -> u32 {
+        self.side_of[element as usize]
+    }
+
     /// The element on the other side of the same cell, or [`NONE`].
     pub fn opposite(&self, element: u32) -> u32 {
         let (face, front, cell) = self.place(element);

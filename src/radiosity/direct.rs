@@ -1,5 +1,8 @@
 //! Irradiance on elements from samples of the emitters' areas.
+//!
+//! Few emitters are [`Lamps`]; of them only mirror images are sampled here.
 
+use super::lamps::Lamps;
 use crate::embree::ShadowPacket;
 use crate::emitters::{Emitters, Passage, connect, cosine_density, mis_share};
 use crate::form_factor::{EmitterIrradiance, EmitterRows};
@@ -19,14 +22,26 @@ pub fn sample_emitters(
     seed: u32,
     light: &mut EmitterRows,
 ) {
-    let sampler = Sampler { visibility, mesh, emitters, rays, samples: batches * per_batch, seed };
-    light.add(|element, batch| sampler.batch(element, batch, per_batch));
+    let lamps = Lamps::of(visibility, mesh, emitters);
+    if let Some(lamps) = &lamps {
+        light.add(|element| lamps.light(element, (batches, per_batch), seed));
+    }
+    let straight = lamps.is_none();
+    if straight || emitters.has_images() {
+        let sampler =
+            Sampler { visibility, mesh, emitters, straight, rays, samples: batches * per_batch, seed };
+        light.add(|element| {
+            (0..batches).map(|batch| sampler.batch(element, batch, per_batch)).collect::<Vec<_>>()
+        });
+    }
 }
 
 struct Sampler<'a, 's> {
     visibility: &'a Visibility<'s>,
     mesh: &'a Mesh,
     emitters: &'a Emitters,
+    /// Straight light counts too, beside that of mirror images.
+    straight: bool,
     rays: u32,
     samples: u32,
     seed: u32,
@@ -69,7 +84,7 @@ impl Sampler<'_, '_> {
                     cosine_density(c.direction.dot(normal)),
                 )
             };
-            if let Some(c) = connect(point, normal, &sample) {
+            if let Some(c) = connect(point, normal, &sample).filter(|_| self.straight) {
                 let origin = self.visibility.leave(face, point, normal);
                 packet.set(used, &self.visibility.segment(origin, sample.face, sample.point, sample.normal));
                 pending[used] = c.irradiance * share(&c);

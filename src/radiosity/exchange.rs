@@ -5,13 +5,15 @@
 //! the answer by 6 %. Each row is therefore scaled in double precision so that it closes exactly: factors, escaped,
 //! absorbed and dropped shares sum to 1. A row further from closure than [`MOST_CORRECTION`] is left as it is.
 //!
-//! Closure is what a nearly white closed room needs. Reciprocity is not enforced: the factors of one row have
-//! independent errors from those of another, which shifts the weight of each row in the room's mean by the row's relative error, whatever
-//! the albedo, and the standard errors contain it.
+//! Closure is what a nearly white closed room needs, and where much of the light is lost at a bounce it is enough: errors of
+//! reciprocity then stay what they are, and the standard errors contain them. Where little is lost they grow without bound. Of
+//! two rooms joined by a small opening, each sends the other what *its* rays found of the opening: at an albedo of 1 both are equally
+//! bright, and the rows make them as different as these two numbers of rays. There the exchange is made reciprocal too
+//! ([`Balance`]).
 
 use super::Transport;
 use crate::color::Rgb;
-use crate::form_factor::{Row, Rows};
+use crate::form_factor::{Row, RowSummary, Rows};
 use rayon::prelude::*;
 
 /// Largest relative change that closes a row.
@@ -20,11 +22,37 @@ const MOST_CORRECTION: f64 = 0.01;
 /// Elements that are worth a task where each takes a few operations.
 pub(super) const MANY: usize = 4096;
 
-/// Rows that close.
+/// Rows that close, made reciprocal on request.
 pub(super) struct Exchange<'m> {
     pub rows: Rows<'m>,
     scale: Vec<f64>,
+    balance: Option<Balance>,
 }
+
+/// What makes rows reciprocal.
+///
+/// With `n_ij` of R rays from i to j, both `A_i n_ij / R` and `A_j n_ji / R` estimate the exchange area of i and j. Their mean,
+/// weighted by inverse variances (those of counts, `A^2 n / R^2`), is
+///
+///     S_ij = A_i A_j / (A_i + A_j) (n_ij + n_ji) / R
+///
+/// and symmetric. What a row's sum then misses goes to the element itself:
+///
+///     (F x)_i = t_i x_i + 1/a_i sum over j of S_ij (x_j - x_i)
+///
+/// with the open area a and the share t of rays that met elements. A uniform x gives `t x` exactly, all is linear in the counts (so
+/// nothing is biased), and off the diagonal nothing is negative.
+pub(super) struct Balance {
+    /// Areas of the elements [m^2].
+    area: Vec<f64>,
+    /// Their open parts [m^2].
+    pub open: Vec<f64>,
+    /// Shares of rays that met elements.
+    pub target: Vec<f64>,
+}
+
+/// Elements times runs of rows that a balanced multiplication works on at the same time, at most.
+const MOST_SUMS: usize = 1 << 22;
 
 impl<'m> Exchange<'m> {
     /// `sums` are those of [`Rows::check`].
@@ -38,12 +66,29 @@ impl<'m> Exchange<'m> {
                 if (ratio - 1.0).abs() <= MOST_CORRECTION { ratio } else { 1.0 }
             })
             .collect();
-        Exchange { rows, scale }
+        Exchange { rows, scale, balance: None }
+    }
+
+    /// Makes the exchange reciprocal; `area` holds the elements' areas [m^2]. For rows that are kept and count rays: without
+    /// specular chains.
+    pub fn make_reciprocal(&mut self, area: Vec<f64>) {
+        let summary = self.rows.summary();
+        let open = area.iter().zip(summary).map(|(a, s)| a * s.exposed).collect();
+        let target = summary.iter().map(|s| 1.0 - s.escaped.x - s.absorbed.x - s.dropped.x).collect();
+        self.balance = Some(Balance { area, open, target });
+    }
+
+    /// Of a reciprocal exchange, what makes it so.
+    pub fn balance(&self) -> Option<&Balance> {
+        self.balance.as_ref()
     }
 
     /// Irradiance from radiosities.
     pub fn gather(&self, x: &[Rgb]) -> Vec<Rgb> {
-        self.rows.map(|k, row| row.dot(x) * self.scale[k])
+        match &self.balance {
+            Some(balance) => balance.gather(self.rows, x, None),
+            None => self.rows.map(|k, row| row.dot(x) * self.scale[k]),
+        }
     }
 
     /// The same from radiosities in single precision: a third of the time where these do not fit the processor's cache.
@@ -55,6 +100,86 @@ impl<'m> Exchange<'m> {
     /// Visits all rows with what each must be multiplied by.
     pub fn map<T: Send>(&self, f: impl Fn(usize, &Row, f64) -> T + Sync) -> Vec<T> {
         self.rows.map(|k, row| f(k, row, self.scale[k]))
+    }
+}
+
+impl Balance {
+    /// Weight `S_ij` [m^2] of a factor from i to j.
+    #[inline]
+    fn weight(&self, summary: &[RowSummary], i: usize, j: usize, factor: f64) -> f64 {
+        match self.open[j] {
+            0.0 => 0.0,
+            _ => self.area[i] * self.area[j] / (self.area[i] + self.area[j]) * factor * summary[i].exposed,
+        }
+    }
+
+    /// `F x` from all randomisations, or from the one of each row that `pick` names.
+    pub fn gather(&self, rows: Rows, x: &[Rgb], pick: Option<&(dyn Fn(usize) -> usize + Sync)>) -> Vec<Rgb> {
+        let (n, batches, summary) = (x.len(), rows.batches(), rows.summary());
+        let runs = self.runs(rows, vec![Rgb::ZERO; n], |y, i, row| {
+            let mut add = |(j, f): (usize, Rgb), times: f64| {
+                let flow = (x[j] - x[i]) * (self.weight(summary, i, j, f.x) * times);
+                y[i] += flow;
+                y[j] -= flow;
+            };
+            match pick {
+                Some(pick) => row.batch(pick(i)).for_each(|e| add(e, batches as f64)),
+                None => row.entries().for_each(|e| add(e, 1.0)),
+            }
+        });
+        let one = |i: usize| {
+            let flow: Rgb = runs.iter().map(|y| y[i]).sum();
+            let own = match pick {
+                Some(pick) if self.target[i] < 1.0 => {
+                    // Of what leaves the scene, too, this randomisation is an estimate.
+                    let sum = rows.map_one(i, |row| row.sum_batch(pick(i), |_| Rgb::ONE));
+                    sum.x.min(1.0)
+                }
+                _ => self.target[i],
+            };
+            own * x[i] + if self.open[i] > 0.0 { flow / self.open[i] } else { Rgb::ZERO }
+        };
+        (0..n).into_par_iter().with_min_len(MANY).map(one).collect()
+    }
+
+    /// Sums over pairs of elements by groups: `sum over i in g, j in h of S_ij f(i, j)` for all g and h, both ways, and
+    /// the two sums of what [`Balance::gather`] takes off the diagonal.
+    pub fn by_groups(&self, rows: Rows, group: &[u16], groups: usize, weight: &[Rgb]) -> Vec<Rgb> {
+        let summary = rows.summary();
+        let runs = self.runs(rows, vec![Rgb::ZERO; groups * groups], |sums, i, row| {
+            let g = usize::from(group[i]);
+            for (j, f) in row.entries() {
+                let h = usize::from(group[j]);
+                let s = self.weight(summary, i, j, f.x);
+                let (a, b) = (weight[i], weight[j]);
+                sums[g * groups + h] -= a * b * s;
+                sums[h * groups + g] -= a * b * s;
+                sums[g * groups + g] += a * a * s;
+                sums[h * groups + h] += b * b * s;
+            }
+        });
+        (0..groups * groups).map(|k| runs.iter().map(|r| r[k]).sum()).collect()
+    }
+
+    /// Visits the rows in runs on all cores, each with sums of its own that start as `zero`; their number depends on nothing
+    /// but the number of rows.
+    fn runs<T: Clone + Send + Sync>(
+        &self,
+        rows: Rows,
+        zero: Vec<T>,
+        visit: impl Fn(&mut Vec<T>, usize, &Row) + Sync,
+    ) -> Vec<Vec<T>> {
+        let n = self.area.len();
+        let count = (MOST_SUMS / zero.len().max(1)).clamp(2, 16);
+        let run = |r: usize| {
+            let mut sums = zero.clone();
+            let range = r * n / count..(r + 1) * n / count;
+            range
+                .filter(|i| self.open[*i] > 0.0)
+                .for_each(|i| rows.map_one(i, |row| visit(&mut sums, i, row)));
+            sums
+        };
+        (0..count).into_par_iter().map(run).collect()
     }
 }
 

@@ -5,9 +5,11 @@ mod direct;
 mod directional;
 mod exchange;
 mod file;
+mod lamps;
 mod ledger;
 mod reconstruct;
 mod solve;
+mod symmetric;
 mod trust;
 mod uncertainty;
 
@@ -28,6 +30,9 @@ use crate::mesh::{Mesh, NONE, Nodes};
 use crate::scene::Scene;
 use rayon::prelude::*;
 use std::f64::consts::PI;
+
+/// Loss of gathered light below which the exchange is made reciprocal.
+const LITTLE_LOSS: f64 = 0.03;
 
 /// The solved radiosity of a scene; every vector holds one value an element.
 #[derive(Debug, Clone)]
@@ -129,15 +134,27 @@ pub fn solve(
         })
         .collect();
     let incident: Vec<Rgb> = sources.iter().map(Sources::total).collect();
-    let exchange = exchange::Exchange::new(rows, &check.sums);
-    let (irradiance, convergence) = solve::solve(&exchange, &transport, &incident, tolerance)?;
+    let mut exchange = exchange::Exchange::new(rows, &check.sums);
+    if wants_reciprocity(scene, &exchange, &transport) {
+        exchange.make_reciprocal((0..n as u32).map(|e| mesh.area(e)).collect());
+    }
+    let side: Vec<u32> = (0..n as u32).map(|e| mesh.side(e)).collect();
+    let symmetric = symmetric::Symmetric::new(&exchange, &transport, &side);
+    let (irradiance, convergence) =
+        solve::solve(&exchange, &transport, symmetric.as_ref(), &incident, tolerance)?;
     let reflected = transport.reflect(&irradiance);
     let by_source = uncertainty::BySource {
         own: &|row, batch| light.rows.as_ref().map_or(Rgb::ZERO, |l| l.total(row, batch) * open(row)),
         particles: if found.is_some() { Some(&particles) } else { None },
     };
-    let replicas =
-        uncertainty::Replicas::new(&exchange, &transport, &irradiance, &by_source, scene.environment);
+    let replicas = uncertainty::Replicas::new(
+        &exchange,
+        &transport,
+        symmetric.as_ref(),
+        &irradiance,
+        &by_source,
+        scene.environment,
+    );
     let emitted: Vec<Rgb> = (0..n as u32)
         .map(|e| {
             let (face, front, _) = mesh.place(e);
@@ -160,7 +177,7 @@ pub fn solve(
     let radiosity: Vec<Rgb> = emitted.iter().zip(&reflected).map(|(e, r)| *e + *r).collect();
     Ok(Solution {
         ledger: Ledger::new(scene, &mesh, rows, emitters, &emitted, &reflected, &irradiance, &replicas),
-        standard_error: replicas.by_element(scene, &mesh, &transport),
+        standard_error: replicas.by_element(scene, &mesh, &transport, &open),
         objects: replicas.by_object(scene, &mesh, &transport, &radiosity),
         radiosity,
         reflected: field(&reflected),
@@ -190,7 +207,20 @@ pub fn solve_irradiance(
     let rows = Rows::from(matrix);
     let sums = matrix.multiply(&vec![Rgb::ONE; matrix.len()]);
     let exchange = exchange::Exchange::new(rows, &sums);
-    solve::solve(&exchange, transport, incident, tolerance)
+    solve::solve(&exchange, transport, None, incident, tolerance)
+}
+
+/// Whether errors of reciprocity would be amplified: some element loses little of the light that it gathers.
+///
+/// Reciprocity takes rows that are kept and count rays, without specular chains; with diffuse transmission the system would not be
+/// symmetric.
+fn wants_reciprocity(scene: &Scene, exchange: &exchange::Exchange, transport: &Transport) -> bool {
+    let plain = !scene.materials.iter().any(|m| m.is_specular() || m.is_translucent());
+    if !plain || !exchange.rows.are_kept() {
+        return false;
+    }
+    let white = exchange.gather(&transport.reflect(&vec![Rgb::ONE; exchange.rows.len()]));
+    white.iter().any(|w| w.max_element() > 1.0 - LITTLE_LOSS)
 }
 
 /// Diffuse reflection and transmission at the elements.

@@ -1,10 +1,10 @@
-//! The linear system of pass 1, `H = H0 + F (rho H + tau H')`, by stabilised biconjugate gradients.
+//! The linear system of pass 1, `H = H0 + F (rho H + tau H')`, by Krylov's methods.
 //!
-//! H is the irradiance, H0 its part straight from the sources. Bi-CGSTAB (van der Vorst 1992) needs no transpose and
-//! no exact reciprocity, which ray-cast factors lack, and its steps grow with the square root of the
-//! condition number where Gauss-Seidel's grow in proportion. In a closed room of albedo near 1 one single mode is slow: the
-//! room's mean light. The first guess settles it by the balance of power, so the steps do not grow at
-//! all there; they do where rooms are joined by small openings.
+//! H is the irradiance, H0 its part straight from the sources. Where a bounce loses much of the light, rows are used as they were cast, and
+//! Bi-CGSTAB (van der Vorst 1992) solves: it needs no transpose and no exact reciprocity, which such rows lack. Where little is
+//! lost, the exchange is reciprocal ([`super::exchange::Balance`]) and conjugate gradients solve, with a coarse space for the slow
+//! modes ([`super::symmetric`]): Bi-CGSTAB's first guess settles the mean light of one closed room by the balance of power, but of
+//! rooms joined by small openings each has its own.
 //!
 //! **Error bound.** `A = 1 - F rho` has an inverse without negative entries. For any `w > 0` with `d = A w > 0`, the error
 //! of an irradiance with residual r is at most `max |r_i / d_i|` times `w` (take `A^-1 d = w`). With `w = 1`, `d_i` is
@@ -13,12 +13,15 @@
 
 use super::Transport;
 use super::exchange::{Exchange, MANY, residual_operator, round};
+use super::symmetric::Symmetric;
 use crate::color::Rgb;
 use crate::{Error, Result};
 use rayon::prelude::*;
 
 /// Most steps; far above what any reflectance below 1 - 1e-9 needs.
 const MOST_STEPS: usize = 4000;
+/// Times that a solve starts, from the true residual.
+const RESTARTS: usize = 4;
 /// Mean share of light lost at a bounce below which double precision cannot tell a steady state from none.
 const LEAST_LOSS: f64 = 1e-12;
 /// Loss at a bounce, at every element, from which on single precision is enough for the steps of the solver.
@@ -59,6 +62,7 @@ impl Convergence {
 pub(super) fn solve(
     exchange: &Exchange,
     transport: &Transport,
+    symmetric: Option<&Symmetric>,
     incident: &[Rgb],
     tolerance: f64,
 ) -> Result<(Vec<Rgb>, Convergence)> {
@@ -93,20 +97,37 @@ pub(super) fn solve(
         e if e.is_finite() => e <= tolerance,
         _ => relative(r, norm) <= tolerance,
     };
-    let mut state = Krylov::balanced(incident, &apply(incident), &bound.ones);
     // The recurrence drifts from the true residual: start again from where it ended.
-    for restart in 0..4 {
-        if restart > 0 {
-            let r = subtract(incident, &apply(&state.x));
-            iterations += 1;
-            state = Krylov::new(state.x, r);
+    let mut x = match symmetric {
+        Some(symmetric) => {
+            let (mut x, mut count) =
+                symmetric.solve(incident, incident.to_vec(), done, MOST_STEPS / RESTARTS);
+            for _ in 1..RESTARTS {
+                iterations += count;
+                (x, count) = symmetric.solve(incident, x, done, MOST_STEPS / RESTARTS);
+                if count == 1 {
+                    break;
+                }
+            }
+            iterations += count;
+            x
         }
-        if done(&state.x, &state.r) {
-            break;
+        None => {
+            let mut state = Krylov::balanced(incident, &apply(incident), &bound.ones);
+            for restart in 0..RESTARTS {
+                if restart > 0 {
+                    let r = subtract(incident, &apply(&state.x));
+                    iterations += 1;
+                    state = Krylov::new(state.x, r);
+                }
+                if done(&state.x, &state.r) {
+                    break;
+                }
+                iterations += state.run(rough, done, MOST_STEPS / RESTARTS);
+            }
+            state.x
         }
-        iterations += state.run(rough, done, MOST_STEPS / 4);
-    }
-    let mut x = state.x;
+    };
     // One more bounce of what is not negative: no dark element keeps a negative rest of the solver's.
     x.iter_mut().for_each(|x| *x = x.max(Rgb::ZERO));
     let gathered = exchange.gather(&transport.reflect(&x));
@@ -266,16 +287,16 @@ fn dot(a: &[Rgb], b: &[Rgb]) -> Rgb {
     parts.iter().sum()
 }
 
-fn subtract(a: &[Rgb], b: &[Rgb]) -> Vec<Rgb> {
+pub(super) fn subtract(a: &[Rgb], b: &[Rgb]) -> Vec<Rgb> {
     a.par_iter().zip(b).with_min_len(MANY).map(|(a, b)| *a - *b).collect()
 }
 
-fn combine(a: &[Rgb], f: Rgb, b: &[Rgb]) -> Vec<Rgb> {
+pub(super) fn combine(a: &[Rgb], f: Rgb, b: &[Rgb]) -> Vec<Rgb> {
     a.par_iter().zip(b).with_min_len(MANY).map(|(a, b)| *a + f * *b).collect()
 }
 
 /// Channel by channel; a channel that has converged exactly stays where it is.
-fn ratio(a: Rgb, b: Rgb) -> Rgb {
+pub(super) fn ratio(a: Rgb, b: Rgb) -> Rgb {
     let div = |a: f64, b: f64| if b != 0.0 && (a / b).is_finite() { a / b } else { 0.0 };
     Rgb::new(div(a.x, b.x), div(a.y, b.y), div(a.z, b.z))
 }

@@ -3,7 +3,9 @@
 use super::Solution;
 use crate::color;
 use crate::form_factor::Rows;
-use crate::scene::Scene;
+use crate::mesh::NONE;
+use crate::scene::{Face, Scene};
+use std::collections::HashSet;
 
 /// How the warning about standard errors begins.
 pub const UNCERTAIN: &str = "radiosity is uncertain";
@@ -29,6 +31,7 @@ pub fn warnings(scene: &Scene, solution: &Solution, rows: Rows) -> Vec<String> {
         ));
     }
     uncertain(solution, &mut warnings);
+    dark(scene, solution, &mut warnings);
     let l = &solution.ledger;
     for c in 0..3 {
         let (off, error) = (l.residual[c].abs(), l.residual_error[c]);
@@ -70,6 +73,59 @@ fn uncertain(solution: &Solution, warnings: &mut Vec<String>) {
             names.join(", ")
         ));
     }
+}
+
+/// Names objects that would reflect light but got none, and those that nothing was found to reach.
+fn dark(scene: &Scene, solution: &Solution, warnings: &mut Vec<String>) {
+    let n = scene.objects.len();
+    let found = |k: usize| [true, false].iter().any(|front| solution.mesh.first(k as u32, *front) != NONE);
+    let (mut reflects, mut reached, mut lit) = (vec![false; n], vec![false; n], vec![false; n]);
+    for (k, face) in scene.faces.iter().enumerate() {
+        let (object, material) = (face.object as usize, scene.material(face));
+        let diffuse = material.diffuse + material.diffuse_transmission;
+        reflects[object] |= diffuse.max_element() > 0.0;
+        // Emitters are seen whatever falls on them.
+        lit[object] |= material.is_emitter();
+        reached[object] |= found(k);
+    }
+    solution.objects.iter().for_each(|o| lit[o.object as usize] |= o.radiosity.max_element() > 0.0);
+    let named = |of: &dyn Fn(usize) -> bool| -> Option<String> {
+        let objects: Vec<usize> = (0..n).filter(|o| reflects[*o] && !lit[*o] && of(*o)).collect();
+        let names = objects.iter().take(NAMED).map(|o| format!("object \"{}\"", scene.objects[*o]));
+        let names: Vec<String> = names.chain((objects.len() > NAMED).then(|| "...".into())).collect();
+        (!objects.is_empty()).then(|| names.join(", "))
+    };
+    if let Some(names) = named(&|o| reached[o]) {
+        warnings.push(format!(
+            "no ray found any light on what can be reached: it is shown black ({names}); cast more rays (--rays)"
+        ));
+    }
+    if (0..n).all(|o| reached[o] || !reflects[o]) {
+        return;
+    }
+    // What continues a surface that was found, such as the bottom of a box, is closed off by it.
+    let faces = || scene.faces.iter().enumerate();
+    let beside: HashSet<Edge> =
+        faces().filter(|(k, _)| found(*k)).flat_map(|(_, f)| edges(scene, f)).collect();
+    let mut alone = vec![false; n];
+    for (_, face) in faces().filter(|(_, f)| !reached[f.object as usize]) {
+        alone[face.object as usize] |= !edges(scene, face).iter().any(|e| beside.contains(e));
+    }
+    if let Some(names) = named(&|o| !reached[o] && alone[o]) {
+        warnings.push(format!(
+            "nothing was found to reach any side of some objects: they are shown black, as if enclosed ({names})"
+        ));
+    }
+}
+
+/// Ends of an edge in single precision, bit by bit, the smaller first.
+type Edge = [[u32; 3]; 2];
+
+fn edges(scene: &Scene, face: &Face) -> Vec<Edge> {
+    let n = if face.is_triangle() { 3 } else { 4 };
+    // Adding zero makes -0 and 0 one point.
+    let at = |k: usize| (scene.corner(face, k % n).as_vec3() + glam::Vec3::ZERO).to_array().map(f32::to_bits);
+    (0..n).map(|k| if at(k) < at(k + 1) { [at(k), at(k + 1)] } else { [at(k + 1), at(k)] }).collect()
 }
 
 fn cracks(scene: &Scene, solution: &Solution, rows: Rows, warnings: &mut Vec<String>) {

@@ -17,6 +17,7 @@
 use super::Transport;
 use super::exchange::{Exchange, round};
 use super::solve::{Krylov, norm};
+use super::symmetric::Symmetric;
 use crate::color::Rgb;
 use crate::form_factor::Row;
 use crate::mesh::Mesh;
@@ -81,6 +82,7 @@ impl Replicas {
     pub fn new(
         exchange: &Exchange,
         transport: &Transport,
+        symmetric: Option<&Symmetric>,
         irradiance: &[Rgb],
         sources: &BySource,
         environment: Rgb,
@@ -89,7 +91,9 @@ impl Replicas {
         if batches < 2 {
             return Replicas { differences: Vec::new(), scale: f64::NAN };
         }
-        let parts = parts(exchange, transport, &transport.reflect(irradiance), sources, environment);
+        let radiosity = transport.reflect(irradiance);
+        let parts = parts(exchange, transport, &radiosity, sources, environment);
+        let balanced = exchange.balance().map(|b| (b, b.gather(exchange.rows, &radiosity, None)));
         let shared_mean: Option<Vec<Rgb>> = sources.particles.map(|particles| {
             (0..n).map(|k| (0..batches).map(|b| particles(k, b)).sum::<Rgb>() / batches as f64).collect()
         });
@@ -103,15 +107,27 @@ impl Replicas {
             for first in (0..batches).step_by(TOGETHER) {
                 let count = TOGETHER.min(batches - first);
                 let pick = |row: usize, m: usize| usize::from(order[row * batches + first + m]);
-                let different = (0..count)
+                let different: Vec<Vec<Rgb>> = (0..count)
                     .map(|m| {
                         let shared = |row: usize| match (sources.particles, &shared_mean) {
                             (Some(p), Some(mean)) => p(row, usize::from(common[first + m])) - mean[row],
                             _ => Rgb::ZERO,
                         };
-                        (0..n).into_par_iter().map(|row| parts[row][pick(row, m)].own + shared(row)).collect()
+                        let own =
+                            (0..n).into_par_iter().map(|row| parts[row][pick(row, m)].own + shared(row));
+                        let Some((balance, mean)) = &balanced else { return own.collect() };
+                        let picked = balance.gather(exchange.rows, &radiosity, Some(&|row| pick(row, m)));
+                        own.zip(picked.par_iter().zip(mean))
+                            .map(|(own, (p, mean))| own + *p - *mean)
+                            .collect()
                     })
                     .collect();
+                if let Some(symmetric) = symmetric {
+                    for b in &different {
+                        differences.push(linear(exchange, transport, symmetric, b));
+                    }
+                    continue;
+                }
                 let turn = Turn { exchange, transport, parts: &parts, pick: &pick };
                 for x in turn.solve(different) {
                     differences.push(x.iter().map(|x| x.as_vec3().to_array()).collect());
@@ -135,8 +151,8 @@ impl Replicas {
         (squares * self.scale).map(f64::sqrt)
     }
 
-    /// Standard error of every element's radiosity [W m^-2].
-    pub fn by_element(&self, scene: &Scene, mesh: &Mesh, transport: &Transport) -> Vec<Rgb> {
+    /// Standard error of every element's radiosity [W m^-2]; `open` are the elements' open shares.
+    pub fn by_element(&self, scene: &Scene, mesh: &Mesh, transport: &Transport, open: &[f64]) -> Vec<Rgb> {
         let mut variance = vec![Rgb::ZERO; mesh.len()];
         for d in &self.differences {
             for (v, r) in variance.iter_mut().zip(transport.reflect(&wide(d))) {
@@ -150,11 +166,13 @@ impl Replicas {
             .into_par_iter()
             .map(|e| {
                 let (mut sum, mut count) = (Rgb::ZERO, 0.0);
+                // An element that is all but covered has next to no rays of its own: it must not speak for its neighbours.
                 neighbours(scene, mesh, e, |k| {
-                    sum += variance[k as usize];
-                    count += 1.0;
+                    sum += variance[k as usize] * open[k as usize];
+                    count += open[k as usize];
                 });
-                (sum / count).map(f64::sqrt)
+                let mean = if count > 0.0 { sum / count } else { variance[e as usize] };
+                mean.map(f64::sqrt)
             })
             .collect()
     }
@@ -210,6 +228,18 @@ impl Replicas {
     }
 }
 
+/// What errors `b` of the gathered light come to, to first order.
+fn linear(exchange: &Exchange, transport: &Transport, symmetric: &Symmetric, b: &[Rgb]) -> Vec<[f32; 3]> {
+    let norm = symmetric.norm(b);
+    let done = |_: &[Rgb], r: &[Rgb]| {
+        let r = symmetric.norm(r);
+        (0..3).all(|c| r[c] <= ROUGH * norm[c])
+    };
+    let (x, _) = symmetric.solve(b, b.to_vec(), done, MOST_STEPS);
+    let gathered = exchange.gather(&transport.reflect(&x));
+    b.iter().zip(&gathered).map(|(b, g)| (*b + *g).as_vec3().to_array()).collect()
+}
+
 fn wide(d: &[[f32; 3]]) -> Vec<Rgb> {
     d.iter().map(|d| Rgb::from(d.map(f64::from))).collect()
 }
@@ -239,7 +269,11 @@ fn parts(
                 };
                 // What meets no element leaves the scene, as far as anything does.
                 let escaped = if s.escaped.x > 0.0 { mean_sum - sums[b] } else { Rgb::ZERO };
-                let gathered = row.dot_batch(b, radiosity) * scale * if closed { close } else { 1.0 };
+                // A reciprocal exchange is no sum of rows: it is gathered as a whole.
+                let gathered = match exchange.balance() {
+                    Some(_) => Rgb::ZERO,
+                    None => row.dot_batch(b, radiosity) * scale * if closed { close } else { 1.0 },
+                };
                 let own = gathered + (sources.own)(k, b) + escaped * outside;
                 Part { own, close, ones: row.dot_batch(b, &white) * (scale * close) }
             })

@@ -3,7 +3,8 @@
 //! The inside of a closed box, or the outside of a room that is seen from within, needs no
 //! elements: nothing that happens there can be seen. Particles walk from emitters and cameras and
 //! mark the sides that they hit. A side that no particle found (it may be small) is then connected
-//! by straight segments to points that were found: one free segment proves that it is reachable.
+//! by straight segments to points that were found: one free segment proves that it is reachable. Where none is free, rays aimed
+//! close past edges find openings that are small for the scene: an opening has edges.
 //! So a reachable side is missed only if it is hidden from every particle and every segment, and
 //! a ray of pass 1 that lands on such a side says so (see `form_factor`).
 //!
@@ -11,8 +12,8 @@
 //! closed body. Of a sheet that nothing found, [`TRIED`] sides stand for all: they share more
 //! segments than its many sides would get one by one. Once one of them is found, each side is tried.
 
-use super::Visibility;
 use super::offset::shared_edges;
+use super::{SurfaceHit, Visibility};
 use crate::bsdf;
 use crate::geometry::Frame;
 use crate::mesh::{Sides, side_index};
@@ -22,6 +23,11 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering};
 
+/// Rays aimed past edges from all sides that no particle found, and the least and most from one.
+const AIMED: u32 = 1 << 19;
+const AIMED_OF_ONE: (u32, u32) = (8, 1 << 12);
+/// How far beside an edge they pass, as shares of the scene's radius: narrower gaps are cracks, not openings.
+const ASIDE: (f64, f64) = (3e-4, 0.3);
 /// Surfaces that a particle visits at most.
 const STEPS: u32 = 12;
 /// Distinct particles that must find a side: one that slipped through a crack proves nothing.
@@ -184,7 +190,8 @@ fn connect(visibility: &Visibility, reached: &mut [bool], seen: &[(u32, DVec3)],
         let missing = tried.len().max(1) as u32;
         let segments = (SEGMENTS / missing).clamp(SEGMENTS_OF_ONE.0, SEGMENTS_OF_ONE.1);
         let rays = (RAYS / missing).clamp(RAYS_OF_ONE.0, RAYS_OF_ONE.1);
-        let work = Work { rays, segments, outside };
+        let aimed = (AIMED / missing).clamp(AIMED_OF_ONE.0, AIMED_OF_ONE.1);
+        let work = Work { rays, segments, aimed, outside };
         let try_one = |s: u32| Some((s as usize, connects(visibility, s, &witnesses, &work, seed)?));
         let news: Vec<(usize, Place)> = tried.into_par_iter().filter_map(try_one).collect();
         if news.is_empty() {
@@ -202,6 +209,7 @@ fn connect(visibility: &Visibility, reached: &mut [bool], seen: &[(u32, DVec3)],
 struct Work {
     rays: u32,
     segments: u32,
+    aimed: u32,
     /// Light comes from outside: a ray that leaves the scene is proof.
     outside: bool,
 }
@@ -218,7 +226,15 @@ fn connects(
     let face = &scene.faces[side as usize / 2];
     let normal = face.normal * if side % 2 == 0 { 1.0 } else { -1.0 };
     let (p0, e1, e2) = scene.face_frame(face);
-    (0..work.segments.max(work.rays)).find_map(|k| {
+    let stone_is_free = |hit: &SurfaceHit, choice: f64| {
+        let stone = visibility.point(hit);
+        let stone = Place { face: stone.face, point: stone.point, normal: stone.geometric };
+        (0..STEPPING_STONES).any(|i| {
+            let r = (choice + f64::from(i) / f64::from(STEPPING_STONES)).fract();
+            free(visibility, &stone, witnesses, r)
+        })
+    };
+    let found = (0..work.segments.max(work.rays)).find_map(|k| {
         let p = sobol(k, 0, seed_of(&[seed, side, 0xc0]));
         let (u, v) = if face.is_triangle() { sampling::triangle(p[0], p[1]) } else { (p[0], p[1]) };
         let (u, v) = visibility.inside(side / 2, u, v);
@@ -234,14 +250,44 @@ fn connects(
         }
         let Some(hit) = visibility.closest(origin, d, side / 2) else { return work.outside.then_some(here) };
         // Most witnesses may lie behind a small face: from where its light goes, they can be seen.
-        let stone = visibility.point(&hit);
-        let stone = Place { face: stone.face, point: stone.point, normal: stone.geometric };
-        let seen = (0..STEPPING_STONES).any(|i| {
-            let r = (q[2] + f64::from(i) / f64::from(STEPPING_STONES)).fract();
-            free(visibility, &stone, witnesses, r)
+        stone_is_free(&hit, q[2]).then_some(here)
+    });
+    if found.is_some() {
+        return found;
+    }
+    // An opening has edges: rays that pass close beside one find a keyhole that random segments miss.
+    let mut proofs = 0;
+    (0..work.aimed).find_map(|k| {
+        let p = sobol(k, 0, seed_of(&[seed, side, 0xc2]));
+        let (u, v) = if face.is_triangle() { sampling::triangle(p[0], p[1]) } else { (p[0], p[1]) };
+        let (u, v) = visibility.inside(side / 2, u, v);
+        let here = Place { face: side / 2, point: p0 + u * e1 + v * e2, normal };
+        let target = beside_an_edge(visibility, sobol(k, 1, seed_of(&[seed, side, 0xc2])), p[2]);
+        let d = (target - here.point).try_normalize()?;
+        if d.dot(normal) <= GRAZING {
+            return None;
+        }
+        let origin = visibility.leave(here.face, here.point, normal);
+        proofs += u32::from(match visibility.closest(origin, d.as_vec3(), here.face) {
+            Some(hit) => stone_is_free(&hit, p[3]),
+            None => work.outside,
         });
-        seen.then_some(here)
+        (proofs >= PROOF).then_some(here)
     })
+}
+
+/// A point in the plane of some face, a little outside one of its edges; `p` in [0, 1)^4 chooses face, edge and place along it,
+/// and `q` in [0, 1) the distance.
+fn beside_an_edge(visibility: &Visibility, p: [f64; 4], q: f64) -> DVec3 {
+    let scene = visibility.scene();
+    let face = &scene.faces[((p[0] * scene.faces.len() as f64) as usize).min(scene.faces.len() - 1)];
+    let count = if face.is_triangle() { 3 } else { 4 };
+    let edge = ((p[1] * count as f64) as usize).min(count - 1);
+    let (a, b) = (scene.corner(face, edge), scene.corner(face, (edge + 1) % count));
+    let outward = (b - a).cross(face.normal).normalize_or_zero();
+    // All scales alike.
+    let distance = scene.radius * ASIDE.0 * (ASIDE.1 / ASIDE.0).powf(q);
+    a + p[2] * (b - a) + distance * outward
 }
 
 /// A point of one side of a face.
