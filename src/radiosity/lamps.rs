@@ -32,6 +32,8 @@ const ACCURACY: f64 = 1e-8;
 const NEAR: f64 = 1.5;
 /// Scenes of more faces are not searched for what may hide an emitter: something may.
 const MOST_CHECKED: usize = 500;
+/// Samples that may be hidden, of those of a side that were not.
+const MISSED: f64 = 3.0;
 /// Smaller solid angles lose too many digits to be sampled.
 const LEAST_SOLID_ANGLE: f64 = 1e-6;
 
@@ -110,8 +112,8 @@ impl<'a, 's> Lamps<'a, 's> {
         let sums: Vec<Sums> = (0..batches)
             .map(|b| self.batch(element, &chosen, count, seed_of(&[seed, element, b, 0x1a3])))
             .collect();
-        // Where something may hide an emitter and no sample met it, all randomisations agree and may yet be wrong. The spread of one
-        // more hidden sample on the whole side (a rule of succession): nothing but the standard error sees it.
+        // Where something may hide an emitter and no sample met it, all randomisations agree and may yet be wrong: what n samples
+        // missed covers less than 3 / n (95 %). The spread of as much on the whole side: nothing but the standard error sees it.
         let doubt = |b: usize| {
             let (face, front, _) = self.mesh.place(element);
             let side = self.hidden[side_index(face, front)];
@@ -120,7 +122,7 @@ impl<'a, 's> Lamps<'a, 's> {
                 return Rgb::ZERO;
             }
             let all = f64::from(batches * count.max(1)) * (self.mesh.grid(face).len() as f64).sqrt();
-            whole * (((batches - 1) as f64).sqrt() / all * if b % 2 == 0 { 1.0 } else { -1.0 })
+            whole * (MISSED * ((batches - 1) as f64).sqrt() / all * if b % 2 == 0 { 1.0 } else { -1.0 })
         };
         let combine = |b: usize| {
             // The share seen by the others; by the only one, where it is alone.

@@ -66,6 +66,8 @@ pub(super) struct Replicas {
     differences: Vec<Vec<[f32; 3]>>,
     /// Variance of the mean over the mean square of the differences.
     scale: f64,
+    /// Degrees of freedom that each row brings.
+    freedom: f64,
 }
 
 /// One randomisation of a row.
@@ -89,7 +91,7 @@ impl Replicas {
     ) -> Replicas {
         let (n, batches) = (exchange.rows.len(), exchange.rows.batches());
         if batches < 2 {
-            return Replicas { differences: Vec::new(), scale: f64::NAN };
+            return Replicas { differences: Vec::new(), scale: f64::NAN, freedom: 0.0 };
         }
         let radiosity = transport.reflect(irradiance);
         let parts = parts(exchange, transport, &radiosity, sources, environment);
@@ -135,7 +137,7 @@ impl Replicas {
             }
         }
         let scale = 1.0 / ((batches - 1) * differences.len()) as f64;
-        Replicas { differences, scale }
+        Replicas { differences, scale, freedom: (batches - 1) as f64 }
     }
 
     /// Standard error of a linear function of the irradiances; NaN with one randomisation.
@@ -203,6 +205,8 @@ impl Replicas {
             sums
         };
         let (areas, sums) = (total(&vec![Rgb::ONE; mesh.len()]), total(radiosity));
+        let mut elements = vec![0.0; of.len()];
+        slot.iter().for_each(|k| elements[*k] += 1.0);
         let mut squares = vec![Rgb::ZERO; of.len()];
         for d in &self.differences {
             let of_replica = total(&transport.reflect(&wide(d)));
@@ -213,7 +217,12 @@ impl Replicas {
                 let area = areas[k].x;
                 let error = match self.differences.is_empty() {
                     true => Rgb::NAN,
-                    false => (squares[k] * self.scale).map(f64::sqrt) / area,
+                    // Of few elements the spread is known badly: with it, departures over stated errors are as large as they
+                    // should be (the variance of Student's t).
+                    false => {
+                        let freedom = f64::max(self.freedom * elements[k], 3.0);
+                        (squares[k] * self.scale * freedom / (freedom - 2.0)).map(f64::sqrt) / area
+                    }
                 };
                 ObjectRadiosity {
                     object,
