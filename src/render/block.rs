@@ -23,7 +23,7 @@ impl Context<'_, '_> {
         let settings = &self.settings;
         let seeds: Vec<u32> = pixels.iter().map(|(x, y)| seed_of(&[settings.seed, *x, *y, 0x91e])).collect();
         let shifts: Vec<[u32; 3]> = seeds.iter().map(|s| Sampler { seed: *s, index: 0 }.shift(0)).collect();
-        let shared = seed_of(&[settings.seed, x0 / BLOCK, y0 / BLOCK, 0xb10c]);
+        let shared = seed_of(&[settings.seed, x0 / BLOCK, y0 / BLOCK, 0xb10c5]);
         let quality = self.quality(true);
         let origin = frame.origin().as_vec3();
         let mut rays =
