@@ -99,14 +99,25 @@ fn shim() -> Result<&'static sys::Shim> {
     loaded.as_ref().map_err(|e| Error::scene("OpenImageIO", format!("it cannot be loaded: {e}")))
 }
 
-/// Loads the shim from memory that has a file's name: it needs no file of its own that could be lost or replaced.
+/// Loads the shim from memory that has a file's name: no file of its own could be lost or replaced. Where there is no /proc,
+/// it takes a temporary file.
 fn load() -> std::result::Result<sys::Shim, Box<dyn std::error::Error>> {
     let memory = rustix::fs::memfd_create("twopass_oiio_shim", rustix::fs::MemfdFlags::CLOEXEC)?;
     let mut file = File::from(memory);
     file.write_all(SHIM)?;
+    let name = format!("/proc/self/fd/{}", file.as_raw_fd());
+    if Path::new(&name).exists() {
+        return open(Path::new(&name));
+    }
+    let mut file = tempfile::NamedTempFile::new()?;
+    file.write_all(SHIM)?;
+    open(file.path())
+}
+
+fn open(path: &Path) -> std::result::Result<sys::Shim, Box<dyn std::error::Error>> {
     // SAFETY: the file holds the library that build.rs linked from the shim whose header the bindings were made from.
     // The initialisers that run are OpenImageIO's and those of its dependencies, which may run on any thread.
-    Ok(unsafe { sys::Shim::new(format!("/proc/self/fd/{}", file.as_raw_fd()))? })
+    Ok(unsafe { sys::Shim::new(path)? })
 }
 
 /// The version of OpenImageIO that runs, for example `2.5.18`; where none is loaded, the one that this program was built for.
