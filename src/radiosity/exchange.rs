@@ -34,11 +34,15 @@ pub(super) struct Exchange<'m> {
 /// With `n_ij` of R rays from i to j, both `A_i n_ij / R` and `A_j n_ji / R` estimate the exchange area of i and j. Their mean,
 /// weighted by inverse variances (those of counts, `A^2 n / R^2`), is
 ///
-///     S_ij = A_i A_j / (A_i + A_j) (n_ij + n_ji) / R
+/// ```text
+/// S_ij = A_i A_j / (A_i + A_j) (n_ij + n_ji) / R
+/// ```
 ///
 /// and symmetric. What a row's sum then misses goes to the element itself:
 ///
-///     (F x)_i = t_i x_i + 1/a_i sum over j of S_ij (x_j - x_i)
+/// ```text
+/// (F x)_i = t_i x_i + 1/a_i sum over j of S_ij (x_j - x_i)
+/// ```
 ///
 /// with the open area a and the share t of rays that met elements. A uniform x gives `t x` exactly, all is linear in the counts (so
 /// nothing is biased), and off the diagonal nothing is negative.

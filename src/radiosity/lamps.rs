@@ -4,7 +4,9 @@
 //! ([`exchange`]). Samples of the emitters find only what is hidden of it: with weights `w` whose mean is the exact
 //! irradiance `E` and visibilities `V`, an estimate is
 //!
-//!     mean(w V) + beta (E - mean(w))
+//! ```text
+//! mean(w V) + beta (E - mean(w))
+//! ```
 //!
 //! for any `beta` that does not depend on these samples (a control variate; Owen 2013, section 8.9). `beta` is the share that
 //! the *other* randomisations of the element saw, so the estimate has no bias; where everything is seen it is `E` itself, and

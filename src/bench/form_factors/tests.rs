@@ -147,7 +147,10 @@ fn a_sweep_holds_all_quantities() {
         };
         // The centre of an element sees its neighbour across the edge as it is: coarse pixels are some 10 % off.
         assert!(value("hemi-cube, centre", 0, RMS).is_some_and(|e| e > 0.02 && e < 0.6));
-        assert!(value("exact", 1, RMS).is_some_and(|e| e < 1e-5));
+        // How many settings there are depends on the machine's speed.
+        for point in subject.series.iter().filter(|s| s.name.starts_with("exact")).flat_map(|s| &s.points) {
+            assert!(point.get(RMS).is_some_and(|m| m.samples[0] < 10f64.powf(-point.parameter)), "{point:?}");
+        }
         assert_eq!(value("exact", 0, CLOSURE), None);
         assert!(value("rays, Sobol, r", 0, RECIPROCITY).is_some_and(|r| r < 1e-12));
         assert!(value("rays, random", 0, RECIPROCITY).is_some_and(|r| r > 0.1));
