@@ -32,8 +32,6 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     if args.error.is_some() && args.method != MethodArg::TwoPass {
         return Err(Error::Usage("--error is for --method two-pass".into()));
     }
-    // Beside pass 1, which does not need it.
-    std::thread::spawn(image::ready);
     let progress = Progress::new(args.common.quiet);
     let observer = &|e| progress.tell(e);
     let mut stages: Vec<Stage> = Vec::new();
@@ -47,6 +45,8 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     let kept = kept.transpose()?;
     let mut settings = settings(args, &scene);
 
+    // Beside pass 1, which does not need it.
+    let _preparing = image::prepare();
     let device = Device::new(rayon::current_num_threads())?;
     let visibility =
         pipeline::stage("build", 0, observer, &mut stages, || (Visibility::new(&device, &scene), 0))?;

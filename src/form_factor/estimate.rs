@@ -104,7 +104,8 @@ pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Foun
             }
             false => found.largest_error(request.floor),
         });
-        let (Some(asked), Some(reached)) = (request.error, achieved) else {
+        let short = request.error.zip(achieved).map(|(asked, reached)| reached / asked).filter(|s| *s > 1.0);
+        let (Some(short), true, true) = (short, request.by_object, work.points < pairs::MOST_POINTS) else {
             return Found {
                 rows: Some(rows),
                 pairs: Some(found),
@@ -114,17 +115,7 @@ pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Foun
                 blocked: Vec::new(),
             };
         };
-        if reached <= asked || !request.by_object || work.points >= pairs::MOST_POINTS {
-            return Found {
-                rows: Some(rows),
-                pairs: Some(found),
-                lamps: None,
-                achieved,
-                rays,
-                blocked: Vec::new(),
-            };
-        }
-        work.points = more(work.points, reached / asked, pairs::MOST_POINTS);
+        work.points = more(work.points, short, pairs::MOST_POINTS);
     }
 }
 

@@ -94,6 +94,23 @@ pub fn ready() -> Result<()> {
     shim().map(|_| ())
 }
 
+/// [`ready`] on a thread of its own, for who has other work meanwhile. Dropping it waits: a program that ends while libraries
+/// are initialised runs their destructors too early.
+#[must_use]
+pub fn prepare() -> Preparing {
+    Preparing(Some(std::thread::spawn(|| drop(ready()))))
+}
+
+/// OpenImageIO on its way.
+pub struct Preparing(Option<std::thread::JoinHandle<()>>);
+
+impl Drop for Preparing {
+    fn drop(&mut self) {
+        // A loader that panicked is told of by the next `ready`.
+        let _ = self.0.take().map(std::thread::JoinHandle::join);
+    }
+}
+
 fn shim() -> Result<&'static sys::Shim> {
     let loaded = LOADED.get_or_init(|| load().map_err(|e| e.to_string()));
     loaded.as_ref().map_err(|e| Error::scene("OpenImageIO", format!("it cannot be loaded: {e}")))
