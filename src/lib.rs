@@ -32,7 +32,7 @@
 //!     seed: 0,
 //! };
 //! let solution = Some(&pass1.solution);
-//! let (image, _rays) = render::render(&visibility, &emitters, solution, &camera, &settings, &|_| ());
+//! let (image, _traced) = render::render(&visibility, &emitters, solution, &camera, &settings, &|_| ());
 //! assert!(image.get(8, 8).iter().all(|radiance| *radiance > 0.0));
 //! # Ok::<(), twopass::Error>(())
 //! ```

@@ -1,6 +1,7 @@
 //! Many frames, one after the other: a thread of its own encodes and writes while the next ones are traced.
 
 use crate::image::Image;
+use crate::render::Traced;
 use crate::{Error, Result};
 use serde::Serialize;
 use std::sync::mpsc::sync_channel;
@@ -19,18 +20,20 @@ pub struct FrameTime {
     pub trace_seconds: f64,
     /// Rays cast.
     pub rays: u64,
+    /// [`Traced::dropped`].
+    pub dropped: f64,
     /// Wall time of encoding and writing \[s\], while other frames were traced.
     pub write_seconds: f64,
 }
 
-/// Traces frames in their order and writes each as soon as it is there. `trace` gives a picture and the rays that it took;
+/// Traces frames in their order and writes each as soon as it is there. `trace` gives a picture and what it took;
 /// `write` runs on a thread of its own.
 ///
 /// # Errors
 /// The first that `write` returns. Nothing is traced any more then, and the frames written before stay.
 pub fn render_frames(
     frames: impl Iterator<Item = u32>,
-    mut trace: impl FnMut(u32) -> (Image, u64),
+    mut trace: impl FnMut(u32) -> (Image, Traced),
     write: impl Fn(u32, &Image) -> Result<()> + Send,
 ) -> Result<Vec<FrameTime>> {
     thread::scope(|scope| {
@@ -47,10 +50,11 @@ pub fn render_frames(
         });
         for frame in frames {
             let start = Instant::now();
-            let (image, rays) = trace(frame);
+            let (image, Traced { rays, dropped }) = trace(frame);
             let trace_seconds = start.elapsed().as_secs_f64();
             // The encoder hangs up where it failed, and says why below.
-            if sender.send((FrameTime { frame, trace_seconds, rays, write_seconds: 0.0 }, image)).is_err() {
+            let time = FrameTime { frame, trace_seconds, rays, dropped, write_seconds: 0.0 };
+            if sender.send((time, image)).is_err() {
                 break;
             }
         }
@@ -67,7 +71,7 @@ mod tests {
     #[test]
     fn frames_are_written_in_order() {
         let seen = Mutex::new(Vec::new());
-        let trace = |frame| (Image::new(1, frame as usize), u64::from(frame));
+        let trace = |frame| (Image::new(1, frame as usize), Traced { rays: u64::from(frame), dropped: 0.0 });
         let times = render_frames(3..=9, trace, |frame, image| {
             seen.lock().unwrap().push((frame, image.height as u32));
             Ok(())
@@ -82,7 +86,7 @@ mod tests {
         let mut traced = 0;
         let trace = |_| {
             traced += 1;
-            (Image::new(1, 1), 0)
+            (Image::new(1, 1), Traced::default())
         };
         let write = |frame, _: &Image| match frame {
             2 => Err(Error::Usage("the disk is full".into())),

@@ -11,7 +11,7 @@ use std::f64::consts::PI;
 use twopass::emitters::Emitters;
 use twopass::image::Image;
 use twopass::pipeline::{self, Pass1};
-use twopass::render::{Estimator, Method, Quality, Settings, render};
+use twopass::render::{Estimator, Method, Quality, Settings, Traced, render};
 use twopass::scene::Scene;
 use twopass::visibility::Visibility;
 
@@ -466,6 +466,31 @@ fn mirror_shows_the_direct_view() {
         eprintln!("mirror, {method:?}: {far} of 768 beyond four standard errors, {noisy} are noisy");
         assert!(far <= 6 && noisy < 400, "{method:?}: {far}, {noisy}");
     }
+}
+
+/// A closed box of mirrors of albedo 0.999: whatever the directions, 0.999^513 of the light of camera rays goes on from their 512th
+/// surface, where they are cut off. Roulette leaves about 18 of the 147,456 to be cut, so that the standard error of what they
+/// stand for is a quarter of it: four of them leave it above zero, and chance takes it out of there once in 10,000 seeds.
+#[test]
+fn what_cut_branches_drop_is_counted() {
+    let mut files = Files::default();
+    files.diffuse("lamp", &[0.0], &[1.0]).material("mirror", "diffuse = 0\nroughness = 0\nspecular = 0.999");
+    for (name, points) in box_faces([0.0; 3], [1.0; 3], true) {
+        files.polygon(name, "mirror", &points);
+    }
+    files.polygon("lamp", "lamp", &[[3.0, 0.0, 0.0], [3.0, 1.0, 0.0], [3.0, 1.0, 1.0], [3.0, 0.0, 1.0]]);
+    files.toml(&camera("c", [0.3, 0.4, 0.2], [0.6, 0.7, 0.9], [0.0, 0.0, 1.0], 60.0, 96));
+    let scene = files.load();
+    let device = device();
+    let visibility = Visibility::new(&device, &scene).expect("tree");
+    let emitters = Emitters::new(&visibility);
+    let settings = settings(Method::Whitted, 16);
+    let (_, traced) = render(&visibility, &emitters, None, &scene.cameras[0], &settings, &|_| {});
+    let (exact, count) = (0.999f64.powi(513), 147_456.0 * 0.98f64.powi(448));
+    eprintln!("dropped {:.3}, exact {exact:.3} +- {:.3}", traced.dropped, exact / count.sqrt());
+    assert!((traced.dropped - exact).abs() < 4.0 * exact / count.sqrt(), "{}", traced.dropped);
+    assert!(traced.warning().is_some_and(|w| w.contains("512th")));
+    assert_eq!(Traced::default().warning(), None);
 }
 
 /// Two-pass and path tracing of a small room with a glossy and with a mirror floor. Gathering and

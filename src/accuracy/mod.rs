@@ -105,6 +105,8 @@ pub struct Achieved {
 pub struct Rendered {
     /// The mean of all halves.
     pub image: Image,
+    /// The most of its two halves' [`crate::render::Traced::dropped`].
+    pub dropped: f64,
     /// How wrong it is.
     pub achieved: Achieved,
     /// Pass 1 of the last half.
@@ -283,8 +285,9 @@ fn finish(
     let (mut rays, mut spp) = (plan.rays, plan.spp);
     let (mut all_rays, mut all_spp, mut pair) = (0u64, 0u32, 0u32);
     let mut warnings: Vec<String> = Vec::new();
+    let mut dropped = 0.0f64;
     loop {
-        let half = |half: u32, stages: &mut Vec<Stage>| -> Result<(Image, Pass1Result, Pass1)> {
+        let mut half = |half: u32, stages: &mut Vec<Stage>| -> Result<(Image, Pass1Result, Pass1)> {
             let seed = seed_of(&[seed, pair, half, 0xacc0]);
             let settings = Pass1 { rays, element_size: Some(level.element_size), seed };
             let (limit, points) = (view.limit, view.view_points);
@@ -294,12 +297,15 @@ fn finish(
             let method = Method::TwoPass(QUALITIES[plan.quality]);
             let picture = Settings { method, spp, seed, ..view.settings };
             let pixels = u64::from(width) * u64::from(height);
-            let image = stage("trace", pixels, observer, &mut own, || {
+            let (image, traced) = stage("trace", pixels, observer, &mut own, || {
                 let advance = |n| observer(Event::Advance(n));
                 let solution = Some(&result.solution);
-                render(view.visibility, view.emitters, solution, view.camera, &picture, &advance)
+                let (image, traced) =
+                    render(view.visibility, view.emitters, solution, view.camera, &picture, &advance);
+                ((image, traced), traced.rays)
             });
             merge(stages, own);
+            dropped = dropped.max(traced.dropped);
             Ok((image, result, settings))
         };
         let (first, other, _) = half(0, stages)?;
@@ -345,7 +351,7 @@ fn finish(
             let mut image = Image::new(width as usize, height as usize);
             let both = together[0].data.iter().zip(&together[1].data);
             image.data.iter_mut().zip(both).for_each(|(v, (a, b))| *v = 0.5 * (a + b));
-            return Ok(Rendered { image, achieved, pass1, settings, warnings });
+            return Ok(Rendered { image, dropped, achieved, pass1, settings, warnings });
         }
         // Variance of this pair's mean, and what the next one's must be so that together they are good enough.
         let (square, _) = pilot::difference(&images[0], &images[1], mask);

@@ -61,9 +61,9 @@ fn directional(view: &View, pass1: &Pass1, directions: u32) -> Result<(Frame, f6
     let before = start.elapsed().as_secs_f64();
     let start = Instant::now();
     let sampling = (FRAME_SPP, pass1.seed);
-    let (image, rays) =
+    let (image, traced) =
         render_directional(view.visibility, view.emitters, &solved, view.camera, sampling, &|_| ());
-    let frame = Frame { image, seconds: start.elapsed().as_secs_f64(), rays };
+    let frame = Frame { image, seconds: start.elapsed().as_secs_f64(), rays: traced.rays };
     Ok((frame, before, solved.directional_values() as f64, solved.bytes))
 }
 

@@ -63,8 +63,9 @@ impl View<'_, '_> {
     /// Pass 2.
     pub fn frame(&self, settings: &Settings, solution: Option<&Solution>) -> Frame {
         let start = Instant::now();
-        let (image, rays) = render(self.visibility, self.emitters, solution, self.camera, settings, &|_| ());
-        Frame { image, seconds: start.elapsed().as_secs_f64(), rays }
+        let (image, traced) =
+            render(self.visibility, self.emitters, solution, self.camera, settings, &|_| ());
+        Frame { image, seconds: start.elapsed().as_secs_f64(), rays: traced.rays }
     }
 
     /// Pass 1 with its wall time \[s\].

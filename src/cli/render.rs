@@ -11,7 +11,7 @@ use crate::image::{self, Image, WriteOptions};
 use crate::memory::Factors;
 use crate::pipeline::{self, Pass1, Pass1Result, Stage};
 use crate::radiosity::Solution;
-use crate::render::{Estimator, Method, Quality, Settings, render, render_directional};
+use crate::render::{Estimator, Method, Quality, Settings, Traced, render, render_directional};
 use crate::report::{KeptReport, Pass1Report, Report, Versions, command_line};
 use crate::scene::{Camera, Scene, load};
 use crate::sequence::{FrameTime, render_frames};
@@ -59,6 +59,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     let mut pass1 = None;
     let mut directional = None;
     let (mut rendered, mut accuracy) = (None, None);
+    let mut dropped = None;
     if let Some(error) = args.error {
         let view = View {
             visibility: &visibility,
@@ -76,6 +77,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         settings.spp = found.achieved.spp;
         pass1_settings = found.settings;
         pass1 = Some(found.pass1);
+        dropped = Some(found.dropped);
         (rendered, accuracy) = (Some(found.image), Some(found.achieved));
     } else if args.method == MethodArg::Directional {
         let what = (&pass1_settings, args.directions);
@@ -132,18 +134,28 @@ pub fn run(args: &RenderArgs) -> Result<()> {
             let rays = times.iter().flatten().map(|t| t.rays).sum();
             (times, rays)
         })?;
+        dropped = frames.iter().map(|f| f.dropped).reduce(f64::max);
         tell_frames(&progress, &frames, stages.last());
     } else {
         let image = match rendered {
             Some(image) => image,
-            None => pipeline::stage("trace", pixels, observer, &mut stages, || picture(&cameras[0].1)),
+            None => pipeline::stage("trace", pixels, observer, &mut stages, || {
+                let (image, traced) = picture(&cameras[0].1);
+                dropped = Some(traced.dropped);
+                (image, traced.rays)
+            }),
         };
         pipeline::stage("write", 0, observer, &mut stages, || {
             (args.output.iter().try_for_each(|output| image::write(&image, output, &options)), 0)
         })?;
     }
+    if let Some(w) = dropped.and_then(|dropped| Traced { rays: 0, dropped }.warning()) {
+        progress.warn(&w);
+        warnings.push(w);
+    }
     let mut report = Report::new(&scene, versions, args.common.seed, stages, warnings);
     report.elements = directional.map_or(solution.map_or(0, |s| s.mesh.len()), |d| d.elements());
+    report.dropped = dropped;
     report.frames = frames;
     report.accuracy = accuracy;
     if let Some(result) = &pass1 {

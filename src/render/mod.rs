@@ -80,14 +80,57 @@ pub(crate) struct Context<'a, 's> {
     solution: Option<&'a Solution>,
     landings: &'a Landings,
     settings: Settings,
-    /// Rays cast so far.
-    rays: Cell<u64>,
+    /// Work so far, `dropped` summed over all samples.
+    work: Cell<Traced>,
 }
 
 impl Context<'_, '_> {
     /// Counts rays that were cast.
     fn cast(&self, rays: u32) {
-        self.rays.set(self.rays.get() + u64::from(rays));
+        let Traced { rays: before, dropped } = self.work.get();
+        self.work.set(Traced { rays: before + u64::from(rays), dropped });
+    }
+
+    /// Counts a branch that is cut off, and its share of what a camera ray sees.
+    fn cut(&self, share: f64) {
+        let Traced { rays, dropped } = self.work.get();
+        self.work.set(Traced { rays, dropped: dropped + share });
+    }
+
+    /// Work so far, of all pixels as one.
+    fn traced(&self) -> Traced {
+        let Traced { rays, dropped } = self.work.get();
+        Traced { rays, dropped: dropped / f64::from(self.settings.spp.max(1)) }
+    }
+}
+
+/// What it took to render a picture.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Traced {
+    /// Rays cast.
+    pub rays: u64,
+    /// Share of the camera rays' weight, over the whole picture, on branches that were cut off after their 512th specular
+    /// surface: what they would have shown is missing.
+    pub dropped: f64,
+}
+
+impl Traced {
+    /// What a user should know, if anything: more than one part in 10,000 is missing.
+    pub fn warning(&self) -> Option<String> {
+        (self.dropped > 1e-4).then(|| {
+            format!(
+                "view rays were cut off at their 512th mirror or glass surface: {:.2} % of their weight is missing from the picture",
+                100.0 * self.dropped
+            )
+        })
+    }
+}
+
+impl std::ops::Add for Traced {
+    type Output = Traced;
+
+    fn add(self, other: Traced) -> Traced {
+        Traced { rays: self.rays + other.rays, dropped: self.dropped + other.dropped }
     }
 }
 
@@ -172,7 +215,7 @@ fn sees_perfect_lobe(visibility: &Visibility, frame: &CameraFrame, x: u32, y: u3
 /// Renders an image: mean radiance over each pixel's area [W m^-2 sr^-1], row 0 at the top.
 ///
 /// `solution` is needed by every method but [`Method::Whitted`] and [`Method::Path`]; without it diffuse
-/// interreflection is left out. Returns the image and the number of rays cast. `progress` is called with the number of pixels finished. The result does
+/// interreflection is left out. Returns the image and what it took. `progress` is called with the number of pixels finished. The result does
 /// not depend on the number of threads.
 pub fn render(
     visibility: &Visibility,
@@ -181,7 +224,7 @@ pub fn render(
     camera: &Camera,
     settings: &Settings,
     progress: &(dyn Fn(u64) + Sync),
-) -> (Image, u64) {
+) -> (Image, Traced) {
     let shader = Shader::new(visibility, emitters, solution, settings);
     film(visibility.scene(), camera, progress, |frame, pixels| shader.block(frame, pixels))
 }
@@ -196,12 +239,12 @@ pub fn render_pixels(
 ) -> (Vec<Rgb>, u64) {
     let shader = Shader::new(visibility, emitters, solution, settings);
     let frame = camera.frame(visibility.scene());
-    let shaded: Vec<(Vec<Rgb>, u64)> = pixels
+    let shaded: Vec<(Vec<Rgb>, Traced)> = pixels
         .par_iter()
         .with_min_len(TILE as usize)
         .map(|[x, y]| shader.block(&frame, &[(*x, *y)]))
         .collect();
-    (shaded.iter().flat_map(|s| s.0.iter().copied()).collect(), shaded.iter().map(|s| s.1).sum())
+    (shaded.iter().flat_map(|s| s.0.iter().copied()).collect(), shaded.iter().map(|s| s.1.rays).sum())
 }
 
 /// Shades block after block of pixels.
@@ -241,8 +284,8 @@ impl<'a, 's> Shader<'a, 's> {
         Shader { visibility, emitters, solution, landings, settings: *settings, finer }
     }
 
-    /// Mean radiance over pixels of one block [W m^-2 sr^-1], and the rays cast for them.
-    fn block(&self, frame: &CameraFrame, pixels: &[(u32, u32)]) -> (Vec<Rgb>, u64) {
+    /// Mean radiance over pixels of one block [W m^-2 sr^-1], and what it took; what was dropped is summed over the pixels.
+    fn block(&self, frame: &CameraFrame, pixels: &[(u32, u32)]) -> (Vec<Rgb>, Traced) {
         let &Shader { visibility, emitters, solution, ref landings, settings, .. } = self;
         let scene = visibility.scene();
         let context = |settings| Context {
@@ -252,16 +295,16 @@ impl<'a, 's> Shader<'a, 's> {
             solution,
             landings,
             settings,
-            rays: Cell::new(0),
+            work: Cell::default(),
         };
         let coarse = context(settings);
         if settings.method == Method::Path {
             let path = |origin, direction, sampler| coarse.path(origin, direction, sampler);
             let radiance = pixels.iter().map(|at| pixel(frame, *at, (settings.spp, settings.seed), path));
-            return (radiance.collect(), coarse.rays.get());
+            return (radiance.collect(), coarse.traced());
         }
         let Some(finer) = self.finer else {
-            return (coarse.block(frame, pixels)[..pixels.len()].to_vec(), coarse.rays.get());
+            return (coarse.block(frame, pixels)[..pixels.len()].to_vec(), coarse.traced());
         };
         coarse.cast(PROBES * PROBES * pixels.len() as u32);
         let finely = |at: &(u32, u32)| sees_perfect_lobe(visibility, frame, at.0, at.1);
@@ -272,7 +315,7 @@ impl<'a, 's> Shader<'a, 's> {
             found.extend(pixels.iter().copied().zip(context.block(frame, &pixels)));
         }
         let radiance = |at: &(u32, u32)| found.iter().find(|f| f.0 == *at).map_or(Rgb::ZERO, |f| f.1);
-        (pixels.iter().map(radiance).collect(), coarse.rays.get() + finer.rays.get())
+        (pixels.iter().map(radiance).collect(), coarse.traced() + finer.traced())
     }
 }
 
@@ -310,7 +353,7 @@ pub fn render_directional(
     camera: &Camera,
     (spp, seed): (u32, u32),
     progress: &(dyn Fn(u64) + Sync),
-) -> (Image, u64) {
+) -> (Image, Traced) {
     let scene = visibility.scene();
     film(scene, camera, progress, |frame, pixels| {
         let seen = |origin: Vec3, direction: DVec3, sampler: Sampler| {
@@ -322,7 +365,7 @@ pub fn render_directional(
             emitted + solution.leaving(scene, (hit.face, hit.front), uv, -direction, sampler.numbers(1))
         };
         let radiance = pixels.iter().map(|at| pixel(frame, *at, (spp, seed), seen)).collect();
-        (radiance, u64::from(spp) * pixels.len() as u64)
+        (radiance, Traced { rays: u64::from(spp) * pixels.len() as u64, dropped: 0.0 })
     })
 }
 
@@ -349,8 +392,8 @@ fn film(
     scene: &Scene,
     camera: &Camera,
     progress: &(dyn Fn(u64) + Sync),
-    shade: impl Fn(&CameraFrame, &[(u32, u32)]) -> (Vec<Rgb>, u64) + Sync,
-) -> (Image, u64) {
+    shade: impl Fn(&CameraFrame, &[(u32, u32)]) -> (Vec<Rgb>, Traced) + Sync,
+) -> (Image, Traced) {
     let frame = camera.frame(scene);
     let [width, height] = camera.size;
     let columns = width.div_ceil(TILE);
@@ -359,25 +402,26 @@ fn film(
         let row = move |y| (x0..(x0 + edge).min(width)).map(move |x| (x, y));
         (y0..(y0 + edge).min(height)).flat_map(row)
     };
-    let tiles: Vec<(Vec<_>, u64)> = (0..columns * height.div_ceil(TILE))
+    let tiles: Vec<(Vec<_>, Traced)> = (0..columns * height.div_ceil(TILE))
         .into_par_iter()
         .map(|tile| {
-            let mut rays = 0;
+            let mut traced = Traced::default();
             let mut pixels = Vec::with_capacity((TILE * TILE) as usize);
             let corners = square(tile % columns * TILE, tile / columns * TILE, TILE);
             for (x, y) in corners.filter(|(x, y)| x % BLOCK == 0 && y % BLOCK == 0) {
                 let block: Vec<(u32, u32)> = square(x, y, BLOCK).collect();
-                let (radiance, cast) = shade(&frame, &block);
-                rays += cast;
+                let (radiance, work) = shade(&frame, &block);
+                traced = traced + work;
                 pixels.extend(block.into_iter().zip(radiance.iter().map(|r| r.as_vec3().to_array())));
             }
             progress(pixels.len() as u64);
-            (pixels, rays)
+            (pixels, traced)
         })
         .collect();
     let mut image = Image::new(width as usize, height as usize);
     for ((x, y), pixel) in tiles.iter().flat_map(|t| &t.0) {
         image.set(*x as usize, *y as usize, *pixel);
     }
-    (image, tiles.iter().map(|t| t.1).sum())
+    let all = tiles.iter().fold(Traced::default(), |sum, tile| sum + tile.1);
+    (image, Traced { dropped: all.dropped / (f64::from(width) * f64::from(height)).max(1.0), ..all })
 }

@@ -32,6 +32,8 @@ pub(super) struct Sight {
     depth: u32,
     /// Weight in the pixel, for decisions only.
     weight: f64,
+    /// Its share of what the camera ray sees, with all that Russian roulette made of it.
+    share: f64,
     /// Glossy lobes on the way.
     glossy: u32,
     /// Diffuse light at the method's own quality.
@@ -62,6 +64,7 @@ impl Sight {
             from: u32::MAX,
             depth: 0,
             weight: 1.0,
+            share: 1.0,
             glossy: 0,
             fine: true,
             shared: None,
@@ -124,11 +127,17 @@ impl Context<'_, '_> {
     fn specular(&self, surface: &Specular, at: &SurfacePoint, sight: &Sight, sampler: Sampler) -> Rgb {
         let mut scale = 1.0;
         if sight.depth >= DEEP {
-            if sight.depth >= DEEPEST || sampler.numbers(6)[0] >= GOES_ON {
+            if sight.depth >= DEEPEST {
+                let perfect: Rgb = surface.perfect().iter().flatten().map(|s| s.weight).sum();
+                self.cut(sight.share * color::mean(perfect + surface.glossy_albedo()));
+                return Rgb::ZERO;
+            }
+            if sampler.numbers(6)[0] >= GOES_ON {
                 return Rgb::ZERO;
             }
             scale = 1.0 / GOES_ON;
         }
+        let sight = &Sight { share: scale * sight.share, ..*sight };
         let perfect = surface.perfect();
         let lobes = perfect.iter().zip([3, 2]).filter_map(|(s, branch)| Some((s.as_ref()?, branch)));
         let mut sum: Rgb = lobes.map(|(s, branch)| self.follow(at, s, sight, sampler.branch(branch))).sum();
@@ -169,6 +178,7 @@ impl Context<'_, '_> {
             from: at.face,
             depth: sight.depth + 1,
             weight: weight.max(WEAK),
+            share: sight.share * color::mean(scale),
             shared,
             ..*sight
         };
@@ -185,7 +195,8 @@ impl Context<'_, '_> {
         let mut sum = Rgb::ZERO;
         for (k, (direction, weight)) in cells.iter().enumerate() {
             let direction = frame.to_scene(*direction);
-            if let Some(next) = self.glossy(at, direction, surface, sight, None) {
+            if let Some(mut next) = self.glossy(at, direction, surface, sight, None) {
+                next.share *= color::mean(*weight);
                 sum += *weight * self.see(&next, sampler.branch(5 + 16 * k as u32));
             }
         }
@@ -215,6 +226,7 @@ impl Context<'_, '_> {
                 scale /= survive;
                 next.weight = WEAK;
             }
+            next.share *= color::mean(scale);
             sum += scale * self.see(&next, sampler.branch_split(6, k, n));
         }
         for k in 0..samples {
@@ -289,6 +301,7 @@ impl Context<'_, '_> {
             from: at.face,
             depth: sight.depth + 1,
             weight: sight.weight * color::mean(surface.glossy_albedo()),
+            share: sight.share,
             glossy: sight.glossy + 1,
             fine: sight.fine && surface.alpha() < WIDE,
             shared,

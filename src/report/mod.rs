@@ -231,6 +231,9 @@ pub struct Report {
     /// How wrong the picture is, where an error was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub accuracy: Option<Achieved>,
+    /// Share of the camera rays' weight that pass 2 cut off ([`crate::render::Traced`]), where a picture was rendered.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dropped: Option<f64>,
     /// Frame by frame, where a path was rendered.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub frames: Vec<FrameTime>,
@@ -269,6 +272,7 @@ impl Report {
             pass1: None,
             solution: None,
             accuracy: None,
+            dropped: None,
             frames: Vec::new(),
             form_factors: None,
             peak_memory_bytes: peak_memory(),
