@@ -370,7 +370,7 @@ fn needed(subject: &mut Subject, roughnesses: &[f64], figures: &mut Vec<Figure>)
         let bound = if at_once { "at most " } else { "" };
         needs.push((
             roughness,
-            directions,
+            (directions, at_once),
             format!("{bound}{} at roughness {roughness}", text::value(directions.round(), Unit::Count)),
         ));
     }
@@ -382,9 +382,14 @@ fn needed(subject: &mut Subject, roughnesses: &[f64], figures: &mut Vec<Figure>)
             words.join(", ")
         ));
         figures.push(Figure {
-            label: format!("times as many directions needs directional radiosity at roughness {} as at {}, for equal error", last.0, first.0),
+            label: format!(
+                "times as many directions{} needs directional radiosity at roughness {} as at {}, for equal error",
+                if first.1.1 { ", or more," } else { "" },
+                last.0,
+                first.0
+            ),
             unit: Unit::Plain,
-            samples: vec![last.1 / first.1],
+            samples: vec![last.1.0 / first.1.0],
         });
     }
     let about = "Directions that directional radiosity needs for the same error without noise, the least that every roughness reached. Sharper towards the \

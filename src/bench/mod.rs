@@ -231,16 +231,16 @@ pub fn rounds(seed: u32, count: u32, mut work: impl FnMut(u32, bool) -> Result<(
     (0..count).try_for_each(|k| work(seed.wrapping_add(k), true))
 }
 
-/// Measures groups one after the other.
-pub fn run(groups: &[Group], context: &Context) -> Result<Suite> {
-    let machine = machine(context);
-    let mut records = Vec::new();
+/// Measures groups one after the other. `keep` is given all that has been measured after each, so that whoever ends the run
+/// early loses no more than one group.
+pub fn run(groups: &[Group], context: &Context, mut keep: impl FnMut(&Suite) -> Result<()>) -> Result<Suite> {
+    let mut suite = Suite { machine: machine(context), groups: Vec::new() };
     for &group in groups {
         let (name, title, about) = group.words();
         (context.observer)(name);
         let start = Instant::now();
         let found = group.run(context)?;
-        records.push(GroupRecord {
+        suite.groups.push(GroupRecord {
             name: name.into(),
             title: title.into(),
             about: about.into(),
@@ -248,8 +248,8 @@ pub fn run(groups: &[Group], context: &Context) -> Result<Suite> {
             figures: found.figures,
             subjects: found.subjects,
         });
+        suite.check()?;
+        keep(&suite)?;
     }
-    let suite = Suite { machine, groups: records };
-    suite.check()?;
     Ok(suite)
 }

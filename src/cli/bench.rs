@@ -41,8 +41,7 @@ pub fn run(args: &BenchArgs) -> Result<()> {
         }
     };
     let context = Context { settings: &settings, device: &device, observer: &observer };
-    let measured = bench::run(&groups, &context)?;
-    suite::write(&measured, &args.output)?;
+    bench::run(&groups, &context, |measured| suite::write(measured, &args.output))?;
     observer(&format!("done: {}", args.output.join("report.html").display()));
     args.tables.as_ref().map_or(Ok(()), |readme| tables(readme, &args.output))
 }
