@@ -73,6 +73,8 @@ pub struct EmitterSample {
     pub density: f64,
     /// The emitting face.
     pub face: u32,
+    /// Number of the emitting side, below [`Emitters::len`].
+    pub side: usize,
 }
 
 /// How light came from an emitter to a receiver.
@@ -185,16 +187,35 @@ impl Emitters {
     /// A point chosen in proportion to emitted power; `u` in [0, 1)^3.
     pub fn sample(&self, u: [f64; 3]) -> Option<EmitterSample> {
         let k = self.cumulative.partition_point(|c| *c <= u[0]).min(self.sides.len().checked_sub(1)?);
+        Some(self.on_side(k, [u[1], u[2]]))
+    }
+
+    /// A point of an emitting side, uniform over its area; `u` in [0, 1)^2. Its density is that among all sides.
+    pub fn on_side(&self, k: usize, u: [f64; 2]) -> EmitterSample {
         let side = &self.sides[k];
-        let (s, t) = if side.triangle { sampling::triangle(u[1], u[2]) } else { (u[1], u[2]) };
+        let (s, t) = if side.triangle { sampling::triangle(u[0], u[1]) } else { (u[0], u[1]) };
         let (p0, e1, e2) = side.frame;
-        Some(EmitterSample {
+        EmitterSample {
             point: p0 + s * e1 + t * e2,
             normal: side.normal,
             radiance: side.radiance,
             density: side.density,
             face: side.face,
-        })
+            side: k,
+        }
+    }
+
+    /// Chance that [`Emitters::sample`] chooses a side.
+    pub fn chance(&self, k: usize) -> f64 {
+        self.cumulative[k] - if k > 0 { self.cumulative[k - 1] } else { 0.0 }
+    }
+
+    /// Number and normal of an emitting side; none if it does not emit.
+    pub fn side(&self, face: u32, front: bool) -> Option<(usize, DVec3)> {
+        match self.index[side_index(face, front)] {
+            NONE => None,
+            k => Some((k as usize, self.sides[k as usize].normal)),
+        }
     }
 
     /// Calls `found(face, window, connection)` for every mirror plane in which the receiver at `point` with

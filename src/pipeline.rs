@@ -3,7 +3,7 @@
 
 use crate::color::Rgb;
 use crate::emitters::Emitters;
-use crate::form_factor::{self, Casting, EmitterRows, EmitterWork, Recast, Rows, pass_on};
+use crate::form_factor::{self, Aim, Casting, EmitterRows, EmitterWork, Recast, Rows, pass_on};
 use crate::memory::{Factors, Need};
 use crate::mesh::{Mesh, NONE, Sides, default_element_size};
 use crate::radiosity::{self, Directional, EmitterLight, Solution};
@@ -169,8 +169,14 @@ pub fn solve_within(
     let factors = limit.map_or(Ok(Factors::Kept), |limit| need.choose(limit))?;
     let samples = (settings.rays / 4).div_ceil(batches).max(16);
     // Particles cost no more than the rows' rays, where they can bring anything.
-    let particles = if specular { particles_per_batch(mesh.len(), settings.rays, batches) } else { 0 };
-    let work = EmitterWork { samples: batches * samples, particles: batches * particles };
+    let start = Instant::now();
+    let most = if specular && !emitters.is_empty() { most_particles(mesh.len(), settings.rays) } else { 0.0 };
+    let aim = (most > 0.0)
+        .then(|| Aim::new(visibility, &mesh, emitters, (most / 16.0).min(524_288.0) as u32, settings.seed));
+    let aim = aim.flatten();
+    let particles = aim.as_ref().map_or(0, |aim| aimed_particles(most, aim) / batches);
+    let looked = start.elapsed().as_secs_f64();
+    let work = EmitterWork { samples: batches * samples, particles: batches * particles, aim: aim.as_ref() };
     let casting = Casting {
         rays: settings.rays,
         batches,
@@ -192,8 +198,7 @@ pub fn solve_within(
         radiosity::sample_emitters(visibility, &mesh, emitters, count, per_row, seed, &mut found);
         light.rows = Some(found);
         if particles > 0 && !mesh.is_empty() {
-            let count = (batches, particles);
-            match radiosity::trace_particles(visibility, &mesh, emitters, count, per_row, seed) {
+            match radiosity::trace_particles(visibility, &mesh, emitters, (batches, work), per_row, seed) {
                 Ok(caustic) => {
                     rays += caustic.rays;
                     light.particles = Some(caustic);
@@ -232,6 +237,10 @@ pub fn solve_within(
             })?
         }
     };
+    if let Some(cast) = stages.iter_mut().find(|s| s.name == "form-factors") {
+        cast.seconds += looked;
+        cast.rays += aim.as_ref().map_or(0, |aim| aim.rays);
+    }
     result.factors = factors;
     Ok(result)
 }
@@ -321,11 +330,14 @@ fn reached_mesh(
     Ok((reached, mesh))
 }
 
-/// Particles of one randomisation, for specular chains: twice as many in all as the rows have rays. Most end at once, at a
-/// surface that is not specular.
-fn particles_per_batch(elements: usize, rays: u32, batches: u32) -> u32 {
-    let all = elements as f64 * f64::from(rays) * 2.0;
-    (all.clamp(65_536.0, 1e9) / f64::from(batches)) as u32
+/// Particles for specular chains, were they not aimed: twice as many as the rows have rays.
+fn most_particles(elements: usize, rays: u32) -> f64 {
+    (elements as f64 * f64::from(rays) * 2.0).clamp(65_536.0, 1e9)
+}
+
+/// As many as bring light over chains as often as [`most_particles`] would.
+fn aimed_particles(most: f64, aim: &Aim) -> u32 {
+    (most * (aim.useful / aim.aimed).min(1.0)).max(65_536.0) as u32
 }
 
 fn finish(

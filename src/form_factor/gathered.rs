@@ -1,16 +1,27 @@
 //! Light of emitters that the rows' rays find on their way.
 
+use super::Aim;
 use crate::color::Rgb;
-use crate::emitters::Passage;
+use crate::emitters::{Passage, mis_share};
 use rayon::prelude::*;
 
 /// Samples of the emitters that share their light with the hemisphere rays.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct EmitterWork {
+#[derive(Debug, Clone, Copy)]
+pub struct EmitterWork<'a> {
     /// Samples of the emitters' area, an element.
     pub samples: u32,
     /// Particles from the emitters in all, for specular chains.
     pub particles: u32,
+    /// Where they are sent; none: in proportion to the emitted light.
+    pub aim: Option<&'a Aim>,
+}
+
+impl EmitterWork<'_> {
+    /// Share of a chain's light that the particles account for, beside `rays` hemisphere rays of an element of `area` [m^2]. The particles
+    /// have `density` per area of the emitters [m^-2], and `aimed` times the density of emitted light over directions.
+    pub fn particle_share(&self, (density, aimed): (f64, f64), rays: u32, area: f64) -> f64 {
+        mis_share(f64::from(self.particles), density * aimed, f64::from(rays), 1.0 / area)
+    }
 }
 
 /// Irradiance from emitters that hemisphere rays found, by passage [W m^-2], over the whole

@@ -1,5 +1,6 @@
 //! Form factors between elements, ordinary and extended.
 
+mod aim;
 pub mod analytic;
 mod correct;
 mod estimate;
@@ -18,6 +19,7 @@ mod specular;
 mod table;
 mod tally;
 
+pub use aim::Aim;
 pub use correct::{Correction, Enforce, correct};
 pub use estimate::{MOST_RAYS, Request, by_pairs, estimate, unoccluded};
 pub use export::Factors;

@@ -40,7 +40,7 @@ pub struct Casting<'a> {
     pub reached: Option<&'a Sides>,
     /// Emitters whose light is gathered on the way, and their own samples, which share the work by
     /// multiple importance sampling. Of few emitters ([`Emitters::are_few`]) only what comes over specular chains.
-    pub emitters: Option<(&'a Emitters, EmitterWork)>,
+    pub emitters: Option<(&'a Emitters, EmitterWork<'a>)>,
     /// Called with the number of elements finished.
     pub progress: &'a (dyn Fn(u64) + Sync),
 }
@@ -472,7 +472,9 @@ impl<'a, 's> Caster<'a, 's> {
         let Some((radiance, density)) = emitters.at(link.hit.face, link.hit.front) else { return };
         let rays = f64::from(self.rays_per_row());
         let share = if link.passage == Passage::Chain {
-            mis_share(rays, 1.0 / source.area, f64::from(work.particles), density)
+            let aimed = work.aim.zip(emitters.side(link.hit.face, link.hit.front));
+            let aimed = aimed.map_or(1.0, |(aim, (side, normal))| aim.density(side, normal, -link.direction));
+            1.0 - work.particle_share((density, aimed), self.rays_per_row(), source.area)
         } else {
             let normal = self.visibility.scene().faces[link.hit.face as usize].normal;
             let q = density * link.length * link.length / link.direction.dot(normal).abs();

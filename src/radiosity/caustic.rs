@@ -3,14 +3,14 @@
 //! A hemisphere ray of an element rarely finds a small emitter behind a mirror, a glass ball or a
 //! glossy floor; a particle that starts at the emitter finds the element easily. Both sample the same paths:
 //! by reciprocity a path has the density `1 / (pi A_i)` per area and projected solid angle for a ray of element
-//! i, and `p / pi` for a particle that starts with area density p. Both are constant along
+//! i, and `p / pi` for a particle that starts with area density p (more or less where particles are aimed, [`crate::form_factor::Aim`]). Both are constant along
 //! the path (its throughput is the same from both ends), so they share the work by the power heuristic.
 //! Paths over one flat mirror are left out: these have their own samples ([`crate::emitters`]).
 
 use super::Field;
 use crate::color::Rgb;
-use crate::emitters::{Emitters, Passage, mis_share};
-use crate::form_factor::{Carried, Chains};
+use crate::emitters::{Emitters, Passage};
+use crate::form_factor::{Carried, Chains, EmitterWork};
 use crate::geometry::Frame;
 use crate::mesh::{Mesh, NONE, Nodes};
 use crate::sampling::{MAX_POINTS, cosine_hemisphere, seed_of, sobol};
@@ -74,14 +74,14 @@ struct Arrival {
     irradiance: [f32; 3],
 }
 
-/// Sends `particles` from the emitters in each of `batches` independent randomisations.
+/// Sends the particles of `work` from the emitters, equally many in each of `batches` independent randomisations.
 ///
 /// `rays` is the number of hemisphere rays an element that share the paths.
 pub fn trace_particles(
     visibility: &Visibility,
     mesh: &Mesh,
     emitters: &Emitters,
-    (batches, particles): (u32, u32),
+    (batches, work): (u32, EmitterWork),
     rays: u32,
     seed: u32,
 ) -> crate::Result<Caustic> {
@@ -89,7 +89,8 @@ pub fn trace_particles(
     let area: f64 = (0..mesh.len() as u32).map(|e| mesh.area(e)).sum();
     let size = (mesh.element_size / FINENESS).max((area / MOST_CELLS).sqrt());
     let cells = Mesh::new(scene, &mesh.sides(), size, false)?;
-    let tracer = Tracer { visibility, mesh, cells: &cells, emitters, total: batches * particles, rays, seed };
+    let particles = work.particles / batches;
+    let tracer = Tracer { visibility, mesh, cells: &cells, emitters, work, rays, seed };
     let mut by_element = vec![Rgb::ZERO; mesh.len() * batches as usize];
     let mut by_cell = vec![Rgb::ZERO; cells.len()];
     let mut cast = 0;
@@ -136,7 +137,7 @@ struct Tracer<'a, 's> {
     mesh: &'a Mesh,
     cells: &'a Mesh,
     emitters: &'a Emitters,
-    total: u32,
+    work: EmitterWork<'a>,
     rays: u32,
     seed: u32,
 }
@@ -153,14 +154,18 @@ impl Tracer<'_, '_> {
             let p = sobol(k, 0, seed);
             let choose = sobol(k, 0, seed_of(&[seed, 1]))[0];
             let Some(s) = self.emitters.sample([choose, p[0], p[1]]) else { break };
-            let direction = Frame::new(s.normal).to_scene(cosine_hemisphere(p[2], p[3])).as_vec3();
+            let (direction, aimed) = match self.work.aim {
+                Some(aim) => aim.sample(&s, [p[2], p[3]]),
+                None => (Frame::new(s.normal).to_scene(cosine_hemisphere(p[2], p[3])), 1.0),
+            };
+            let direction = direction.as_vec3();
             let origin = self.visibility.leave(s.face, s.point, s.normal);
             cast += 1;
             let Some(hit) = self.visibility.closest(origin, direction, s.face) else { continue };
             if !scene.material(&scene.faces[hit.face as usize]).is_specular() {
                 continue;
             }
-            let power = s.radiance * (PI / (s.density * f64::from(self.total)));
+            let power = s.radiance * (PI / (s.density * aimed * f64::from(self.work.particles)));
             let numbers = (k, seed_of(&[seed, 2]));
             let end = chains.follow(Carried::Power, (origin, direction, hit), numbers, |link| {
                 if link.passage != Passage::Chain {
@@ -172,7 +177,8 @@ impl Tracer<'_, '_> {
                     return;
                 }
                 let cell = self.cells.element(at.face, at.front, at.u, at.v);
-                let share = particle_share(self.total, s.density, self.rays, self.mesh.area(element));
+                let densities = (s.density, aimed);
+                let share = self.work.particle_share(densities, self.rays, self.mesh.area(element));
                 let irradiance = (power * link.weight * share).as_vec3().to_array();
                 list.push(Arrival { element, cell, irradiance });
             });
@@ -180,10 +186,4 @@ impl Tracer<'_, '_> {
         }
         (list, cast)
     }
-}
-
-/// Share of a chain's light that `particles` of area density `density` account for, beside `rays`
-/// hemisphere rays of an element of that area.
-pub fn particle_share(particles: u32, density: f64, rays: u32, area: f64) -> f64 {
-    mis_share(f64::from(particles), density, f64::from(rays), 1.0 / area)
 }
