@@ -13,9 +13,11 @@ use crate::visibility::Visibility;
 use serde::Serialize;
 
 /// Most solves.
-const MOST_PASSES: usize = 8;
-/// Share of the squared error that is left to cells which might be divided.
-const REST: f64 = 0.1;
+const MOST_PASSES: usize = 12;
+/// What may be left to cells that might be divided, over the squared error of the finest mesh.
+const REST: f64 = 1.0;
+/// A pass that would add less than this part of the elements is not worth its solve.
+const LITTLE: usize = 10;
 
 /// What adapting came to.
 #[derive(Debug, Clone, Serialize)]
@@ -50,25 +52,26 @@ pub fn solve(
     let mut own: Vec<Stage> = Vec::new();
     loop {
         let mesh = pipeline::building(stages, || Mesh::divided(scene, &reached, &division, false))?;
-        adapted.elements.push(mesh.len());
-        let solved = (&reached, mesh);
-        let result = pipeline::solve_mesh(limit, visibility, emitters, solved, settings, observer, &mut own)?;
-        let chosen = if adapted.elements.len() == MOST_PASSES {
-            Vec::new()
-        } else {
-            pipeline::building(stages, || {
-                let errors = element_errors(scene, &division, &result.solution, &result.open, reads)?;
-                Ok::<_, crate::Error>(worst_cells(&result.solution.mesh, &division, &errors, REST))
-            })?
-        };
-        if chosen.is_empty() {
+        let elements = mesh.len();
+        adapted.elements.push(elements);
+        let what = (&reached, mesh);
+        let result = pipeline::solve_mesh(limit, visibility, emitters, what, settings, observer, &mut own)?;
+        let more = adapted.elements.len() < MOST_PASSES
+            && pipeline::building(stages, || -> Result<bool> {
+                let s = &result.solution;
+                let errors = element_errors(scene, &division, s, &result.open, reads)?;
+                let chosen = worst_cells(&s.mesh, &division, &errors, REST);
+                if 3 * chosen.len() <= elements / LITTLE {
+                    return Ok(false);
+                }
+                division.split(|face, cell| chosen.binary_search(&(face, cell)).is_ok());
+                division.balance(scene, &reached)?;
+                Ok(true)
+            })?;
+        if !more {
             stages.extend(together(own));
             return Ok((result, adapted));
         }
-        pipeline::building(stages, || {
-            division.split(|face, cell| chosen.binary_search(&(face, cell)).is_ok());
-            division.balance(scene, &reached)
-        })?;
     }
 }
 

@@ -1,10 +1,17 @@
 //! Adaptive meshes: cells of several levels are one surface without cracks, and fewer elements show the same light.
 
+mod common;
+
+use common::{Files, box_faces, device};
 use glam::{DVec2, DVec3};
+use twopass::adaptive::{self, Adapted};
 use twopass::color::Rgb;
+use twopass::emitters::Emitters;
 use twopass::mesh::{Division, Mesh, Nodes, Sides};
-use twopass::radiosity::Field;
+use twopass::pipeline::{Pass1, Pass1Result};
+use twopass::radiosity::{Field, Reads, Solution};
 use twopass::scene::{Scene, load};
+use twopass::visibility::Visibility;
 
 fn scene_of(obj: &str) -> Scene {
     let folder = tempfile::tempdir().unwrap();
@@ -231,4 +238,92 @@ fn levels_tell_the_division() {
         finer[0] += 1;
         assert!(refused(&finer), "{obj}");
     }
+}
+
+/// A room with a lamp and a block on its floor.
+fn room() -> Scene {
+    let mut files = Files::default();
+    files.diffuse("white", &[0.7], &[0.0]).diffuse("lamp", &[0.0], &[40.0]);
+    for (name, points) in box_faces([0.0; 3], [2.0, 1.5, 1.0], true) {
+        files.polygon(name, "white", &points);
+    }
+    for (name, points) in box_faces([0.6, 0.5, 0.0], [0.4, 0.4, 0.5], false) {
+        files.polygon(&format!("block {name}"), "white", &points);
+    }
+    files.polygon("lamp", "lamp", &[[0.2, 0.3, 0.99], [0.2, 0.6, 0.99], [0.5, 0.6, 0.99], [0.5, 0.3, 0.99]]);
+    files.load()
+}
+
+fn solve(scene: &Scene, size: f64, rays: u32, reads: Reads) -> (Pass1Result, Adapted) {
+    let device = device();
+    let visibility = Visibility::new(&device, scene).unwrap();
+    let emitters = Emitters::new(&visibility);
+    let settings = Pass1 { rays, element_size: Some(size), seed: 0 };
+    let what = (&settings, reads);
+    adaptive::solve(None, &visibility, &emitters, &scene.cameras, what, &|_| {}, &mut Vec::new()).unwrap()
+}
+
+/// Elements gather about the block's foot and its shadow's edge, and power is in balance on the graded mesh.
+#[test]
+fn elements_gather_where_the_light_changes() {
+    let scene = room();
+    let (result, adapted) = solve(&scene, 0.02, 1024, Reads::Reflected);
+    let s = &result.solution;
+    println!("{adapted:?}, residual {}", s.ledger.residual);
+    assert_eq!(adapted.elements.last(), Some(&s.mesh.len()));
+    assert!(s.mesh.len() * 4 < adapted.uniform_elements, "{adapted:?}");
+    assert!(s.ledger.residual.abs().max_element() < 0.01, "{}", s.ledger.residual);
+    // Mean area of the floor's elements within 3 cm of the block, and of those in the far corner.
+    let mean = |near: &dyn Fn(DVec3) -> bool| {
+        let floor = |e: &u32| {
+            s.mesh.normal(&scene, *e).z > 0.9
+                && (s.mesh.centroid(&scene, *e) + scene.center).z < 1e-6
+                && near(s.mesh.centroid(&scene, *e) + scene.center)
+        };
+        let areas: Vec<f64> = (0..s.mesh.len() as u32).filter(floor).map(|e| s.mesh.area(e)).collect();
+        areas.iter().sum::<f64>() / areas.len() as f64
+    };
+    let distance = |p: DVec3| {
+        let d = (DVec3::new(0.8, 0.7, 0.0) - p).abs() - DVec3::splat(0.2);
+        d.x.max(d.y)
+    };
+    let (foot, open) = (mean(&|p| (0.0..0.03).contains(&distance(p))), mean(&|p| p.x > 1.6 && p.y > 1.1));
+    println!("area at the foot {foot:.1e}, in the open {open:.1e}");
+    assert!(open > 8.0 * foot, "{open} {foot}");
+}
+
+/// An adaptive solution comes back from its file to the bit.
+#[test]
+fn files_keep_adaptive_solutions() {
+    let scene = room();
+    let (result, _) = solve(&scene, 0.05, 256, Reads::Indirect);
+    assert!(result.solution.mesh.is_adaptive());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("s.npz");
+    let bytes = result.solution.to_npz(&scene, serde_json::Map::new()).unwrap();
+    std::fs::write(&path, &bytes).unwrap();
+    let kept = Solution::read_npz(&scene, &path).unwrap();
+    assert!(kept.solution.to_npz(&scene, serde_json::Map::new()).unwrap() == bytes);
+    for k in 0..2000 {
+        let (face, uv) =
+            (k % scene.faces.len() as u32, DVec2::new(noise(2 * u64::from(k)), noise(2 * u64::from(k) + 1)));
+        for front in [true, false] {
+            let [a, b] = [&result.solution, &kept.solution]
+                .map(|s| s.indirect.at(&s.mesh, &s.nodes, (face, front), uv.x as f32, uv.y as f32));
+            assert_eq!(a, b);
+        }
+    }
+}
+
+/// The same mesh and light on one thread and on several.
+#[test]
+fn threads_change_nothing() {
+    let scene = room();
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| solve(&scene, 0.05, 256, Reads::Reflected).0.solution)
+    };
+    let (one, three) = (run(1), run(3));
+    assert_eq!(one.mesh.len(), three.mesh.len());
+    assert!(one.radiosity == three.radiosity && one.standard_error == three.standard_error);
 }

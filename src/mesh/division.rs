@@ -8,11 +8,11 @@ use crate::scene::Scene;
 use crate::{Error, Result};
 
 /// Divisions between the cells of level 0 and the finest, where the face is large enough.
-const LEVELS: u32 = 4;
+const LEVELS: u32 = 6;
 
 /// The levels of the cells of every face.
 ///
-/// Cells of level 0 have up to 16 times the edge of the finest; level `k + 1` quarters the cells of level `k`.
+/// Cells of level 0 have up to 64 times the edge of the finest; level `k + 1` quarters the cells of level `k`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Division {
     finest: f64,
@@ -96,10 +96,10 @@ impl Division {
         self.faces.iter().flat_map(|f| &f.levels).copied().max().unwrap_or(0)
     }
 
-    /// Whether a cell may be divided.
-    pub fn may_split(&self, face: u32, cell: u32) -> bool {
+    /// How many times more a cell may be divided.
+    pub fn levels_left(&self, face: u32, cell: u32) -> u8 {
         let face = &self.faces[face as usize];
-        face.levels[cell as usize] < face.deepest
+        face.deepest - face.levels[cell as usize]
     }
 
     pub(super) fn grids(&self, scene: &Scene) -> Result<Vec<Grid>> {

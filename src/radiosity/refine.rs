@@ -10,8 +10,8 @@ use crate::color::{self, Rgb};
 use crate::mesh::{Division, Mesh, NONE, Nodes};
 use crate::scene::Scene;
 
-/// Variances of an element's radiosity that the mean square over the four quarters of a cell must exceed.
-const SIGNIFICANT: f64 = 2.0;
+/// What division leaves of an edge's squared error.
+const HALF: f64 = 0.5;
 
 /// What pass 2 reads of pass 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -79,8 +79,8 @@ pub fn element_errors(
         }
         for e in (0..mesh.len()).filter(|e| mesh.level(*e as u32) == level) {
             let (square, noise) = sums[parent[e]];
-            if square <= SIGNIFICANT * noise {
-                errors[e] = 0.0;
+            if square > 0.0 {
+                errors[e] *= (1.0 - noise / square).max(0.0);
             }
         }
     }
@@ -94,11 +94,11 @@ fn at_centroid(field: &Field, (of, nodes): (&Mesh, &Nodes), mesh: &Mesh, element
     field.at(of, nodes, (face, front), uv.x as f32, uv.y as f32).unwrap_or_default()
 }
 
-/// The cells to divide, by (face, cell) in order: the fewest that leave no more than a share `rest` of the whole error to others
-/// that may be divided. The sides of a face share its cells.
+/// The cells to divide, by (face, cell) in order: the fewest that leave to others that may be divided no more than `rest` times
+/// the error that the finest mesh would have, were it all along edges. The sides of a face share its cells.
 pub fn worst_cells(mesh: &Mesh, division: &Division, errors: &[f64], rest: f64) -> Vec<(u32, u32)> {
     let mut cells: Vec<(f64, (u32, u32))> = Vec::new();
-    let mut left = 0.0;
+    let (mut left, mut final_error) = (0.0, 0.0);
     for e in 0..mesh.len() as u32 {
         let (face, front, cell) = mesh.place(e);
         if !front && mesh.first(face, true) != NONE {
@@ -106,12 +106,14 @@ pub fn worst_cells(mesh: &Mesh, division: &Division, errors: &[f64], rest: f64) 
         }
         let behind = if front { mesh.opposite(e) } else { NONE };
         let error = errors[e as usize] + if behind == NONE { 0.0 } else { errors[behind as usize] };
-        if error > 0.0 && division.may_split(face, cell) {
+        let levels = division.levels_left(face, cell);
+        final_error += error * HALF.powi(levels.into());
+        if error > 0.0 && levels > 0 {
             cells.push((error, (face, cell)));
             left += error;
         }
     }
-    let allowed = rest * errors.iter().sum::<f64>();
+    let allowed = rest * final_error;
     cells.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     let mut chosen = Vec::new();
     for (error, at) in cells {
