@@ -15,7 +15,7 @@ use serde::Serialize;
 /// Most solves.
 const MOST_PASSES: usize = 12;
 /// What may be left to cells that might be divided, over the squared error of the finest mesh.
-const REST: f64 = 1.0;
+const REST: f64 = 2.0;
 /// A pass that would add less than this part of the elements is not worth its solve.
 const LITTLE: usize = 10;
 

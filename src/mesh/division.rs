@@ -8,11 +8,11 @@ use crate::scene::Scene;
 use crate::{Error, Result};
 
 /// Divisions between the cells of level 0 and the finest, where the face is large enough.
-const LEVELS: u32 = 6;
+const LEVELS: u32 = 7;
 
 /// The levels of the cells of every face.
 ///
-/// Cells of level 0 have up to 64 times the edge of the finest; level `k + 1` quarters the cells of level `k`.
+/// Cells of level 0 have up to 128 times the edge of the finest; level `k + 1` quarters the cells of level `k`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Division {
     finest: f64,
