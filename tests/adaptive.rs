@@ -327,3 +327,61 @@ fn threads_change_nothing() {
     assert_eq!(one.mesh.len(), three.mesh.len());
     assert!(one.radiosity == three.radiosity && one.standard_error == three.standard_error);
 }
+
+/// Light shown at points spread over all faces of a solution, front sides, in turn.
+fn shown(scene: &Scene, s: &Solution) -> Vec<(f64, Rgb)> {
+    const POINTS: u64 = 400;
+    let mut found = Vec::new();
+    for (k, face) in scene.faces.iter().enumerate() {
+        for p in 0..POINTS {
+            let [u, v] = [0, 1].map(|c| noise(((k as u64) << 32) + 2 * p + c));
+            let value = s.reflected.at(&s.mesh, &s.nodes, (k as u32, true), u as f32, v as f32);
+            found.push((face.area / POINTS as f64, value.unwrap_or_default()));
+        }
+    }
+    found
+}
+
+/// Mean square of the error of two independent solutions against two independent references: free of the noise of either.
+fn square_error(found: &[Vec<(f64, Rgb)>; 2], reference: &[Vec<(f64, Rgb)>; 2]) -> f64 {
+    let (mut sum, mut area) = (0.0, 0.0);
+    for k in 0..found[0].len() {
+        let off = |i: usize, j: usize| found[i][k].1 - reference[j][k].1;
+        sum += found[0][k].0 * 0.5 * (off(0, 0) * off(1, 1) + off(0, 1) * off(1, 0)).element_sum() / 3.0;
+        area += found[0][k].0;
+    }
+    sum / area
+}
+
+/// The adaptive mesh of N elements is no more wrong than the uniform one of 4 N.
+#[test]
+fn fewer_elements_show_the_same_light() {
+    let scene = room();
+    let device = device();
+    let visibility = Visibility::new(&device, &scene).unwrap();
+    let emitters = Emitters::new(&visibility);
+    let run = |size: f64, seed: u32, adapt: bool| {
+        let settings = Pass1 { rays: 512, element_size: Some(size), seed };
+        let stages = &mut Vec::new();
+        let result = if adapt {
+            let what = (&settings, Reads::Reflected);
+            adaptive::solve(None, &visibility, &emitters, &[], what, &|_| {}, stages).unwrap().0
+        } else {
+            twopass::pipeline::solve(&visibility, &emitters, &[], &settings, &|_| {}, stages).unwrap()
+        };
+        (result.solution.mesh.len(), shown(&scene, &result.solution))
+    };
+    let reference = [run(0.02, 11, false).1, run(0.02, 12, false).1];
+    let error = |size: f64, adapt: bool| {
+        let found = [run(size, 1, adapt), run(size, 2, adapt)];
+        let n = found[0].0;
+        let e = square_error(&found.map(|f| f.1), &reference).max(0.0).sqrt();
+        println!("{n} elements, adaptive {adapt}, edges from {size} m: {e:.4} W m^-2");
+        (n, e)
+    };
+    let adaptive = error(0.02, true);
+    let uniform = [0.1, 0.05, 0.036].map(|size| error(size, false));
+    let fourfold = uniform.iter().filter(|u| u.0 >= 4 * adaptive.0).map(|u| u.1).fold(0.0, f64::max);
+    assert!(fourfold > 0.0, "{uniform:?}");
+    assert!(adaptive.1 < fourfold, "{adaptive:?} {uniform:?}");
+}

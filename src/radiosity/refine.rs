@@ -71,7 +71,10 @@ pub fn element_errors(
         for e in (0..mesh.len()).filter(|e| mesh.level(*e as u32) == level) {
             let surplus = shown[e] - at_centroid(&before, (&coarse, &nodes), mesh, e as u32);
             let area = open[e] * mesh.area(e as u32);
-            let noise = solution.standard_error[e];
+            // Of the standard error a part of the light has its share.
+            let whole = color::mean(solution.reflected_radiosity(e));
+            let share = if whole > 0.0 { (color::mean(shown[e]) / whole).clamp(0.0, 1.0) } else { 1.0 };
+            let noise = solution.standard_error[e] * share;
             let noise = color::mean(noise * noise);
             errors[e] = area * color::mean(surplus * surplus);
             sums[parent[e]].0 += errors[e];
