@@ -38,6 +38,7 @@
 //! ```
 
 pub mod accuracy;
+pub mod adaptive;
 pub mod bench;
 pub mod bsdf;
 pub mod cli;

@@ -114,6 +114,8 @@ pub struct Pass1Result {
     pub matrix_bytes: usize,
     /// What the user should know.
     pub warnings: Vec<String>,
+    /// Share of each element that other surfaces leave open.
+    pub open: Vec<f64>,
 }
 
 /// Refuses a scene that nothing lights: every image of it would be black.
@@ -151,9 +153,22 @@ pub fn solve_within(
     observer: Observer,
     stages: &mut Vec<Stage>,
 ) -> Result<Pass1Result> {
-    let scene = visibility.scene();
-    require_light(scene, emitters)?;
+    require_light(visibility.scene(), emitters)?;
     let (reached, mesh) = reached_mesh(visibility, cameras, settings, false, stages)?;
+    solve_mesh(limit, visibility, emitters, (&reached, mesh), settings, observer, stages)
+}
+
+/// [`solve_within`] of given elements on sides that light or a camera can reach; the settings' element size does not matter.
+pub(crate) fn solve_mesh(
+    limit: Option<u64>,
+    visibility: &Visibility,
+    emitters: &Emitters,
+    (reached, mesh): (&Sides, Mesh),
+    settings: &Pass1,
+    observer: Observer,
+    stages: &mut Vec<Stage>,
+) -> Result<Pass1Result> {
+    let scene = visibility.scene();
     let specular = Features::of(scene).specular;
     // As many as the matrix will have: long rows need several sequences.
     let batches = BATCHES.max(settings.rays.div_ceil(MAX_POINTS)).min(settings.rays.max(1));
@@ -182,7 +197,7 @@ pub fn solve_within(
         batches,
         seed: settings.seed,
         specular,
-        reached: Some(&reached),
+        reached: Some(reached),
         emitters: (!emitters.is_empty()).then_some((emitters, work)),
         progress: &|n| observer(Event::Advance(n)),
     };
@@ -320,14 +335,27 @@ fn reached_mesh(
 ) -> Result<(Sides, Mesh)> {
     let scene = visibility.scene();
     let size = settings.element_size.unwrap_or_else(|| default_element_size(scene));
-    let frames: Vec<_> = cameras.iter().map(|c| (c.frame(scene), c.size)).collect();
+    building(stages, || {
+        let reached = reached(visibility, cameras, settings.seed);
+        let mesh = Mesh::new(scene, &reached, size, with_black)?;
+        Ok((reached, mesh))
+    })
+}
+
+/// The sides that light or a camera can reach.
+pub(crate) fn reached(visibility: &Visibility, cameras: &[Camera], seed: u32) -> Sides {
+    let frames: Vec<_> = cameras.iter().map(|c| (c.frame(visibility.scene()), c.size)).collect();
+    reachable_sides(visibility, &frames, seed)
+}
+
+/// Does work whose time counts as `build`.
+pub(crate) fn building<T>(stages: &mut [Stage], work: impl FnOnce() -> T) -> T {
     let start = Instant::now();
-    let reached = reachable_sides(visibility, &frames, settings.seed);
-    let mesh = Mesh::new(scene, &reached, size, with_black)?;
+    let result = work();
     if let Some(build) = stages.iter_mut().find(|s| s.name == "build") {
         build.seconds += start.elapsed().as_secs_f64();
     }
-    Ok((reached, mesh))
+    result
 }
 
 /// Particles for specular chains, were they not aimed: twice as many as the rows have rays.
@@ -374,5 +402,6 @@ fn finish(
     let solution = radiosity::solve(scene, mesh, (rows, &check), emitters, light, TOLERANCE)?;
     warnings.extend(radiosity::warnings(scene, &solution, rows));
     let factors = Factors::CastAgain;
-    Ok(Pass1Result { solution, residuals, factors, stored: 0, matrix_bytes: 0, warnings })
+    let open = rows.summary().iter().map(|s| s.exposed).collect();
+    Ok(Pass1Result { solution, residuals, factors, stored: 0, matrix_bytes: 0, warnings, open })
 }

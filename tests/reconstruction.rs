@@ -61,13 +61,14 @@ impl Setup {
         const STEP: f64 = 2e-7;
         let grid = self.mesh.grid(face);
         let inside = |p: DVec2| {
-            p.min_element() >= 0.0 && if grid.triangle { p.x + p.y <= 1.0 } else { p.max_element() <= 1.0 }
+            p.min_element() >= 0.0
+                && if grid.is_triangle() { p.x + p.y <= 1.0 } else { p.max_element() <= 1.0 }
         };
         let mut largest = 0.0f64;
         for cell in 0..grid.len() as u32 {
             let (o, a, b) = grid.cell_frame(cell);
             let edges =
-                if grid.triangle { vec![(o, a), (o, b), (o + a, b - a)] } else { vec![(o, a), (o, b)] };
+                if grid.is_triangle() { vec![(o, a), (o, b), (o + a, b - a)] } else { vec![(o, a), (o, b)] };
             for (start, edge) in edges {
                 let across = STEP * edge.perp().normalize();
                 for k in 0..=16 {
@@ -142,7 +143,7 @@ fn neighbouring_polygons_of_one_plane_and_material_meet_without_a_seam() {
 fn grids_of_different_fineness_meet_without_a_seam() {
     for (top, different) in [("3 3 0", true), ("1.2 0.9 0", false), ("9 9 0", true)] {
         let s = Setup::new(&format!("v 0 0 0\nv 1 0 0\nv 0 1 0\nv {top}\nf 1 2 3\nf 2 4 3\n"), 0.21);
-        assert_eq!(s.mesh.grid(0).nu != s.mesh.grid(1).nu, different, "{top}");
+        assert_eq!(s.mesh.grid(0).lattice.nu != s.mesh.grid(1).lattice.nu, different, "{top}");
         let field = s.field(noise);
         for k in 0..=100 {
             let t = f64::from(k) / 100.0;
@@ -166,7 +167,7 @@ fn linear_functions_are_reproduced() {
             let (p0, e1, e2) = s.scene.face_frame(&s.scene.faces[face as usize]);
             for k in 0..4096 {
                 let mut uv = DVec2::new(noise(2 * k), noise(2 * k + 1));
-                if s.mesh.grid(face).triangle && uv.x + uv.y > 1.0 {
+                if s.mesh.grid(face).is_triangle() && uv.x + uv.y > 1.0 {
                     uv = DVec2::ONE - uv;
                 }
                 let p = p0 + uv.x * e1 + uv.y * e2 + s.scene.center;
@@ -315,7 +316,7 @@ fn rays_find_the_element_that_they_hit() {
             assert!(visibility.point(&hit).point.distance(point) < 1e-5);
         }
         let centroid = mesh.centroid(&scene, element);
-        let uv = frame.0 + (frame.1 + frame.2) / if grid.triangle { 3.0 } else { 2.0 };
+        let uv = frame.0 + (frame.1 + frame.2) / if grid.is_triangle() { 3.0 } else { 2.0 };
         assert_eq!(mesh.element(face, front, uv.x as f32, uv.y as f32), element);
         assert!(centroid.distance(p0 + uv.x * e1 + uv.y * e2) < 1e-12);
     }

@@ -53,6 +53,14 @@ pub struct Pass1Args {
 }
 
 #[derive(Debug, ClapArgs)]
+pub struct AdaptiveArgs {
+    /// Refine elements only where the light that the image reads asks for it; --element-size is then the size of the finest
+    /// [default: the scene file's, or false].
+    #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
+    pub adaptive: Option<bool>,
+}
+
+#[derive(Debug, ClapArgs)]
 pub struct MemoryArgs {
     /// Memory that pass 1 may take, such as 500M or 6G [default: three quarters of what is free]. Where the matrix of form
     /// factors does not fit, rays are cast again for each multiplication: slower, with the same result, but without making the
@@ -86,7 +94,7 @@ pub struct RenderArgs {
     pub frames: Option<RangeInclusive<u32>>,
     /// Take pass 1 from a file that `twopass solve` wrote for this scene instead of solving. The picture is the same to the
     /// bit.
-    #[arg(long, value_name = "FILE.npz", conflicts_with_all = ["rays", "element_size", "max_memory"])]
+    #[arg(long, value_name = "FILE.npz", conflicts_with_all = ["rays", "element_size", "adaptive", "max_memory"])]
     pub solution: Option<PathBuf>,
     /// Pixels across and down [default: the camera's]
     #[arg(long, value_name = "WxH", value_parser = size)]
@@ -94,7 +102,7 @@ pub struct RenderArgs {
     /// Choose quality, elements, rays and samples so that the image's relative RMSE is at most this, and say what was
     /// achieved; the scene file's own choices are left aside, and pixels that see an emitter directly do not count.
     #[arg(long, value_name = "E", value_parser = share, allow_negative_numbers = true, conflicts_with_all = [
-        "rays", "element_size", "spp", "quality", "gather_rays", "emitter_samples", "solution", "frames"
+        "rays", "element_size", "adaptive", "spp", "quality", "gather_rays", "emitter_samples", "solution", "frames"
     ])]
     pub error: Option<f64>,
     /// How light is found.
@@ -134,6 +142,8 @@ pub struct RenderArgs {
     #[command(flatten)]
     pub pass1: Pass1Args,
     #[command(flatten)]
+    pub adaptive: AdaptiveArgs,
+    #[command(flatten)]
     pub memory: MemoryArgs,
     #[command(flatten)]
     pub common: Common,
@@ -149,8 +159,13 @@ pub struct SolveArgs {
     /// Write what the run did as JSON.
     #[arg(long, value_name = "FILE.json")]
     pub report: Option<PathBuf>,
+    /// Quality of the images that --adaptive refines elements for [default: gather, or the scene file's].
+    #[arg(long, value_enum)]
+    pub quality: Option<QualityArg>,
     #[command(flatten)]
     pub pass1: Pass1Args,
+    #[command(flatten)]
+    pub adaptive: AdaptiveArgs,
     #[command(flatten)]
     pub memory: MemoryArgs,
     #[command(flatten)]

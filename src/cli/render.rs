@@ -1,16 +1,17 @@
 //! `twopass render`.
 
-use super::args::{EstimatorArg, MethodArg, Pass1Args, QualityArg, RenderArgs};
+use super::args::{AdaptiveArgs, EstimatorArg, MethodArg, Pass1Args, QualityArg, RenderArgs};
 use super::check_outputs;
 use super::frames::{Pattern, check_range, refuse_pattern};
 use super::progress::Progress;
 use crate::accuracy::{Achieved, View, render_to_error};
+use crate::adaptive::{self, Adapted};
 use crate::embree::Device;
 use crate::emitters::Emitters;
 use crate::image::{self, Image, WriteOptions};
 use crate::memory::Factors;
 use crate::pipeline::{self, Pass1, Pass1Result, Stage};
-use crate::radiosity::Solution;
+use crate::radiosity::{Reads, Solution};
 use crate::render::{Estimator, Method, Quality, Settings, Traced, render, render_directional};
 use crate::report::{KeptReport, Pass1Report, Report, Versions, command_line};
 use crate::scene::{Camera, Scene, load};
@@ -31,6 +32,11 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     }
     if args.error.is_some() && args.method != MethodArg::TwoPass {
         return Err(Error::Usage("--error is for --method two-pass".into()));
+    }
+    if args.adaptive.adaptive == Some(true)
+        && !matches!(args.method, MethodArg::TwoPass | MethodArg::Radiosity)
+    {
+        return Err(Error::Usage("--adaptive is for --method two-pass and radiosity".into()));
     }
     let progress = Progress::new(args.common.quiet);
     let observer = &|e| progress.tell(e);
@@ -58,6 +64,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     let advance = |n| progress.tell(pipeline::Event::Advance(n));
     let mut pass1 = None;
     let mut directional = None;
+    let mut adapted = None;
     let (mut rendered, mut accuracy) = (None, None);
     let mut dropped = None;
     if let Some(error) = args.error {
@@ -97,10 +104,11 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         unseen.iter().for_each(|w| progress.warn(w));
         warnings.extend(unseen);
     } else if matches!(settings.method, Method::TwoPass(_) | Method::Radiosity) {
-        let (limit, settings) = (args.memory.limit(), &pass1_settings);
-        let stages = &mut stages;
-        let result =
-            pipeline::solve_within(limit, &visibility, &emitters, &view_points, settings, observer, stages)?;
+        let reads = reads(&args.adaptive, &scene, settings.method);
+        let scene = (&visibility, &emitters, &view_points[..]);
+        let (result, a) =
+            pass1_of(scene, (&pass1_settings, reads), args.memory.limit(), observer, &mut stages)?;
+        adapted = a;
         tell_factors(&progress, &result);
         result.warnings.iter().for_each(|w| progress.warn(w));
         warnings.extend(result.warnings.iter().cloned());
@@ -159,7 +167,9 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     report.frames = frames;
     report.accuracy = accuracy;
     if let Some(result) = &pass1 {
-        let pass1 = Pass1Report::new(&pass1_settings, result);
+        let mut pass1 = Pass1Report::new(&pass1_settings, result);
+        pass1.adaptive = adapted;
+        tell_adapted(&progress, &pass1);
         progress.line(&format!(
             "{} elements of at most {:.4} m, standard error {:.2} %, energy residual {:.2} %",
             pass1.elements,
@@ -255,6 +265,46 @@ pub fn tell_factors(progress: &Progress, result: &Pass1Result) {
     }
 }
 
+/// Says how many elements a uniform mesh would have.
+pub fn tell_adapted(progress: &Progress, pass1: &Pass1Report) {
+    let Some(adapted) = &pass1.adaptive else { return };
+    progress.line(&format!(
+        "{} elements in {} passes, the finest of at most {:.4} m; uniform ones would be {}",
+        pass1.elements,
+        adapted.elements.len(),
+        pass1.element_size,
+        adapted.uniform_elements
+    ));
+}
+
+/// What an adaptive mesh is refined for, where one is asked for.
+pub fn reads(args: &AdaptiveArgs, scene: &Scene, method: Method) -> Option<Reads> {
+    let adaptive = args.adaptive.unwrap_or(scene.radiosity.adaptive);
+    adaptive.then_some(match method {
+        Method::Radiosity | Method::TwoPass(Quality::Mesh) => Reads::Reflected,
+        _ => Reads::Indirect,
+    })
+}
+
+/// Pass 1 with uniform elements, or with adaptive ones that suit what pass 2 reads.
+pub fn pass1_of(
+    (visibility, emitters, view_points): (&Visibility, &Emitters, &[Camera]),
+    (settings, reads): (&Pass1, Option<Reads>),
+    limit: Option<u64>,
+    observer: pipeline::Observer,
+    stages: &mut Vec<Stage>,
+) -> Result<(Pass1Result, Option<Adapted>)> {
+    let Some(reads) = reads else {
+        let result =
+            pipeline::solve_within(limit, visibility, emitters, view_points, settings, observer, stages)?;
+        return Ok((result, None));
+    };
+    let what = (settings, reads);
+    let (result, adapted) =
+        adaptive::solve(limit, visibility, emitters, view_points, what, observer, stages)?;
+    Ok((result, Some(adapted)))
+}
+
 /// Settings of pass 1: the command line over the scene file over the defaults.
 pub fn pass1(args: &Pass1Args, scene: &Scene, seed: u32) -> Pass1 {
     let mut settings = Pass1::of(scene);
@@ -268,12 +318,17 @@ pub fn pass1(args: &Pass1Args, scene: &Scene, seed: u32) -> Pass1 {
     settings
 }
 
-fn settings(args: &RenderArgs, scene: &Scene) -> Settings {
-    let quality = match (args.quality, scene.render.quality.as_deref()) {
+/// The quality asked for: the command line over the scene file over the default.
+pub fn quality(asked: Option<QualityArg>, scene: &Scene) -> Quality {
+    match (asked, scene.render.quality.as_deref()) {
         (Some(QualityArg::Mesh), _) | (None, Some("mesh")) => Quality::Mesh,
         (Some(QualityArg::Direct), _) | (None, Some("direct")) => Quality::Direct,
         _ => Quality::Gather,
-    };
+    }
+}
+
+fn settings(args: &RenderArgs, scene: &Scene) -> Settings {
+    let quality = quality(args.quality, scene);
     let method = match args.method {
         // Directional radiosity has no settings of pass 2 but its samples.
         MethodArg::TwoPass | MethodArg::Directional => Method::TwoPass(quality),

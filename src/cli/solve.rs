@@ -3,11 +3,12 @@
 use super::args::SolveArgs;
 use super::check_outputs;
 use super::progress::Progress;
-use super::render::{pass1, tell_factors};
+use super::render::{pass1, pass1_of, quality, reads, tell_adapted, tell_factors};
 use crate::embree::Device;
 use crate::emitters::Emitters;
 use crate::output::write_whole;
 use crate::pipeline::{self, Stage};
+use crate::render::Method;
 use crate::report::{Pass1Report, Report, Versions};
 use crate::scene::load;
 use crate::visibility::Visibility;
@@ -30,16 +31,20 @@ pub fn run(args: &SolveArgs) -> Result<()> {
     let emitters = Emitters::new(&visibility);
     let limit = args.memory.limit();
     let cameras = scene.view_points();
-    let result =
-        pipeline::solve_within(limit, &visibility, &emitters, &cameras, &settings, observer, &mut stages)?;
+    let reads = reads(&args.adaptive, &scene, Method::TwoPass(quality(args.quality, &scene)));
+    let what = (&visibility, &emitters, &cameras[..]);
+    let (result, adapted) = pass1_of(what, (&settings, reads), limit, observer, &mut stages)?;
     tell_factors(&progress, &result);
     result.warnings.iter().for_each(|w| progress.warn(w));
     let versions = Versions::new(&device);
-    let pass1 = Pass1Report::new(&settings, &result);
+    let mut pass1 = Pass1Report::new(&settings, &result);
+    pass1.adaptive = adapted;
+    tell_adapted(&progress, &pass1);
     let about = [
         ("settings".into(), serde_json::json!(settings)),
         ("versions".into(), serde_json::json!(versions)),
         ("pass1".into(), serde_json::json!(pass1)),
+        ("adaptive".into(), serde_json::json!(reads.is_some())),
     ];
     pipeline::stage("write", 0, observer, &mut stages, || {
         let bytes = result.solution.to_npz(&scene, about.into_iter().collect());

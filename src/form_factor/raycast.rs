@@ -99,7 +99,7 @@ fn collect(caster: Caster, rows: Option<&[bool]>) -> (ExchangeMatrix, EmitterRow
 }
 
 /// All that a hit needs to know of its face, side by side in memory.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 struct Target {
     normal: Vec3,
     grid: Grid,
@@ -119,7 +119,7 @@ fn targets(scene: &Scene, mesh: &Mesh, casting: &Casting) -> Vec<Target> {
     };
     let target = |k: u32| Target {
         normal: scene.faces[k as usize].normal.as_vec3(),
-        grid: *mesh.grid(k),
+        grid: mesh.grid(k).clone(),
         first: [mesh.first(k, true), mesh.first(k, false)],
         kind: [kind(k, true), kind(k, false)],
     };

@@ -97,7 +97,7 @@ impl Lanes {
                 lanes.y[c][k] = frame.y.as_vec3()[c];
                 lanes.z[c][k] = frame.z.as_vec3()[c];
             }
-            lanes.triangle[k] = grid.triangle;
+            lanes.triangle[k] = grid.is_triangle();
             lanes.sources.push(Source { element, face, normal, area: mesh.area(element) });
         }
         lanes.width = lanes.sources.len().max(1).next_power_of_two();

@@ -6,7 +6,7 @@
 //! and it is continuous over each patch: where neighbours divide their common edge differently, the
 //! finer one's nodes on the edge hang between the nodes of the coarser one.
 
-use super::{Grid, Mesh, NONE, side_index};
+use super::{Lattice, Mesh, NONE, side_index};
 use crate::color::Rgb;
 use crate::scene::{Face, Scene};
 use glam::DVec3;
@@ -22,17 +22,21 @@ pub struct Nodes {
     first: Vec<u32>,
     ids: Vec<u32>,
     count: usize,
+    /// In the order in which they are set: ends before what hangs between them.
     hanging: Vec<Hanging>,
+    /// Cells (by face) whose neighbours over some edge have less than half its length.
+    pub(super) steep: Vec<(u32, u32)>,
 }
 
-/// A node within a coarser neighbour's edge: its value lies between two nodes of that edge.
+/// A node within a coarser neighbour's edge: its value is the mean of two nodes of that edge.
 #[derive(Debug, Clone, Copy)]
 struct Hanging {
     node: u32,
     ends: [u32; 2],
-    /// Share of the second end.
-    share: f64,
 }
+
+/// Patch, side and place of a node.
+type Key = (u32, bool, [i64; 3]);
 
 /// An edge that two faces of a patch share: face and edge number of either, which run along it in
 /// opposite directions.
@@ -43,7 +47,7 @@ impl Nodes {
     pub fn new(scene: &Scene, mesh: &Mesh) -> Nodes {
         let (patches, joints) = patches(scene);
         let quantum = 1e-7 * scene.radius.max(f64::MIN_POSITIVE);
-        let mut seen: HashMap<(u32, bool, [i64; 3]), u32> = HashMap::new();
+        let mut seen: HashMap<Key, u32> = HashMap::new();
         let (mut first, mut ids) = (vec![NONE; 2 * scene.faces.len()], Vec::new());
         for (k, face) in scene.faces.iter().enumerate() {
             let (p0, e1, e2) = scene.face_frame(face);
@@ -59,40 +63,68 @@ impl Nodes {
                 }
             }
         }
-        let mut nodes = Nodes { first, ids, count: seen.len(), hanging: Vec::new() };
-        for joint in &joints {
-            nodes.hang(mesh, joint);
+        let count = seen.len();
+        let mut nodes = Nodes { first, ids, count, hanging: Vec::new(), steep: Vec::new() };
+        for face in uneven(mesh, &joints) {
+            nodes.hang(scene, mesh, face, (patches[face as usize], quantum), &seen);
         }
+        nodes.order();
         nodes
     }
 
-    /// Hangs the nodes of the finer face on the edge of the coarser one.
-    fn hang(&mut self, mesh: &Mesh, joint: &Joint) {
-        let cells = joint.map(|(face, edge)| mesh.grid(face).edge_cells(edge));
-        let (fine, coarse) = if cells[0] > cells[1] { (0, 1) } else { (1, 0) };
-        let (many, few) = (cells[fine], cells[coarse]);
-        if many == few {
-            return;
-        }
-        let ((face, edge), (other, other_edge)) = (joint[fine], joint[coarse]);
-        for front in [true, false] {
-            if mesh.first(face, front) == NONE || mesh.first(other, front) == NONE {
-                continue;
-            }
-            for k in 1..many {
-                // Counted along the coarse edge, which runs the other way.
-                let position = u64::from(many - k) * u64::from(few);
-                let (cell, rest) = ((position / u64::from(many)) as u32, position % u64::from(many));
-                if rest == 0 {
-                    continue;
+    /// Finds the nodes that hang within the edges of a face's cells.
+    fn hang(
+        &mut self,
+        scene: &Scene,
+        mesh: &Mesh,
+        face: u32,
+        (patch, quantum): (u32, f64),
+        seen: &HashMap<Key, u32>,
+    ) {
+        let (p0, e1, e2) = scene.face_frame(&scene.faces[face as usize]);
+        let grid = mesh.grid(face);
+        let points = grid.node_points();
+        let edges = grid.open_edges();
+        for front in [true, false].into_iter().filter(|front| mesh.first(face, *front) != NONE) {
+            for (cell, ends) in &edges {
+                // Halves of the edge, and halves of these wherever a node divides them.
+                let whole = ends.map(|e| (self.id(face, front, e) as u32, points[e as usize]));
+                let mut pending = vec![(whole, 1)];
+                while let Some(([a, b], depth)) = pending.pop() {
+                    let uv = 0.5 * (a.1 + b.1);
+                    let key = (patch, front, quantise(p0 + uv.x * e1 + uv.y * e2, quantum));
+                    let Some(&node) = seen.get(&key) else { continue };
+                    self.hanging.push(Hanging { node, ends: [a.0, b.0] });
+                    if depth > 1 {
+                        self.steep.push((face, *cell));
+                    }
+                    pending.extend([([a, (node, uv)], depth + 1), ([(node, uv), b], depth + 1)]);
                 }
-                let end = |c: u32| self.id(other, front, mesh.grid(other).edge_node(other_edge, c)) as u32;
-                self.hanging.push(Hanging {
-                    node: self.id(face, front, mesh.grid(face).edge_node(edge, k)) as u32,
-                    ends: [end(cell), end(cell + 1)],
-                    share: rest as f64 / f64::from(many),
-                });
             }
+        }
+    }
+
+    /// Puts the hanging nodes into the order in which they are set, each once.
+    fn order(&mut self) {
+        let mut free = vec![true; self.count];
+        let mut pending: Vec<Hanging> = Vec::with_capacity(self.hanging.len());
+        for h in self.hanging.drain(..) {
+            // The edge between two cells of one size is found from both.
+            if std::mem::replace(&mut free[h.node as usize], false) {
+                pending.push(h);
+            }
+        }
+        while !pending.is_empty() {
+            let (ready, rest): (Vec<_>, Vec<_>) =
+                pending.into_iter().partition(|h| h.ends.iter().all(|e| free[*e as usize]));
+            if ready.is_empty() {
+                // Nodes that hang on each other in a circle belong to no surface that can be divided so.
+                self.hanging.extend(rest);
+                return;
+            }
+            ready.iter().for_each(|h| free[h.node as usize] = true);
+            self.hanging.extend(ready);
+            pending = rest;
         }
     }
 
@@ -100,7 +132,7 @@ impl Nodes {
     pub fn settle(&self, values: &mut [Rgb]) {
         for h in &self.hanging {
             let [a, b] = h.ends.map(|e| values[e as usize]);
-            values[h.node as usize] = a.lerp(b, h.share);
+            values[h.node as usize] = 0.5 * (a + b);
         }
     }
 
@@ -128,12 +160,30 @@ impl Nodes {
     }
 }
 
+/// Faces that have a neighbour whose cells along the common edge may be finer, and those that are adaptive themselves.
+fn uneven(mesh: &Mesh, joints: &[Joint]) -> Vec<u32> {
+    let mut uneven: Vec<u32> = Vec::new();
+    for joint in joints {
+        let [a, b] = joint.map(|(face, edge)| {
+            let grid = mesh.grid(face);
+            (grid.lattice.edge_cells(edge), grid.is_adaptive())
+        });
+        if a.1 || b.1 || a.0 != b.0 {
+            uneven.extend(joint.map(|(face, _)| face));
+        }
+    }
+    uneven.extend((0..mesh.grids.len() as u32).filter(|k| mesh.grid(*k).is_adaptive()));
+    uneven.sort_unstable();
+    uneven.dedup();
+    uneven
+}
+
 /// Makes the numbers of cells along the edges of each patch multiples of each other by powers of two, none
 /// smaller than before: only then can a hanging node follow a coarser neighbour exactly.
-pub(super) fn nest(scene: &Scene, grids: &mut [Grid]) {
+pub(super) fn nest(scene: &Scene, grids: &mut [Lattice]) {
     let (_, joints) = patches(scene);
     // Opposite edges of a parallelogram, and all edges of a triangle, have equal numbers of cells.
-    let direction = |grids: &[Grid], (face, edge): (u32, usize)| {
+    let direction = |grids: &[Lattice], (face, edge): (u32, usize)| {
         2 * face + u32::from(!grids[face as usize].triangle && edge % 2 == 1)
     };
     let mut parent: Vec<u32> = (0..2 * grids.len() as u32).collect();

@@ -128,7 +128,7 @@ impl Directional {
         let diffuse = self.diffuse.at(&self.mesh, &self.nodes, side, uv.x as f32, uv.y as f32);
         let Some(diffuse) = diffuse else { return Rgb::ZERO };
         let grid = self.mesh.grid(face);
-        let step = DVec2::new(1.0 / f64::from(grid.nu), 1.0 / f64::from(grid.nv));
+        let step = DVec2::new(1.0 / f64::from(grid.lattice.nu), 1.0 / f64::from(grid.lattice.nv));
         let moved = uv + (DVec2::new(jitter[0], jitter[1]) - 0.5) * step;
         let element = self.mesh.element(face, front, moved.x as f32, moved.y as f32);
         let mut radiance = diffuse / PI;

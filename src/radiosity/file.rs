@@ -1,13 +1,13 @@
 //! The solution as a file that `numpy.load` opens (DESIGN section 6), and back.
 //!
 //! The file holds what cannot be had again from the scene: the elements follow from the sides that have some and their
-//! size, the nodes from the elements. So a solution that was read is the one that was written, to the bit.
+//! size (with `level`, of an adaptive mesh), the nodes from the elements. So a solution that was read is the one that was written, to the bit.
 
 use super::reconstruct::Field;
 use super::solve::Convergence;
 use super::{CausticMap, Ledger, ObjectRadiosity, Solution};
 use crate::color::Rgb;
-use crate::mesh::{Mesh, Nodes, Sides};
+use crate::mesh::{Division, Mesh, Nodes, Sides};
 use crate::scene::Scene;
 use crate::{Error, Result};
 use glam::DVec3;
@@ -21,7 +21,7 @@ use zip::result::ZipError;
 use zip::write::FileOptions;
 
 /// Number of the layout, and of the rules by which elements and nodes are numbered: changes with either.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 
 /// A solution that was read from a file.
 pub struct Kept {
@@ -70,6 +70,9 @@ impl Solution {
                 triples(&mut npz, name, values)?;
             }
             array(&mut npz, "area", &[u64::from(n)], (0..n).map(|e| self.mesh.area(e)))?;
+            if self.mesh.is_adaptive() {
+                array(&mut npz, "level", &[u64::from(n)], (0..n).map(|e| self.mesh.level(e)))?;
+            }
             array(&mut npz, "object", &[u64::from(n)], faces().map(|f| f.object as i32))?;
             let sides = self.objects.len() as u64;
             array(&mut npz, "side_area", &[sides], self.objects.iter().map(|o| o.area))?;
@@ -167,6 +170,9 @@ impl<'a> Arrays<'a> {
         if let Some(seed) = setting("seed").and_then(Value::as_u64).filter(|s| *s != 0) {
             again += &format!(" --seed {seed}");
         }
+        if meta.get("adaptive") == Some(&json!(true)) {
+            again += " --adaptive";
+        }
         let message = format!(
             "is stale: geometry, materials, emitters or environment of {} are not those that it was solved for; solve again: {again}",
             scene.path.display()
@@ -226,7 +232,7 @@ impl<'a> Arrays<'a> {
 
     fn solution(mut self, scene: &Scene) -> Result<Kept> {
         let sides = Sides(self.get("sides", &[2 * scene.faces.len() as u64])?);
-        let mesh = Mesh::new(scene, &sides, self.size("element_size")?, false)?;
+        let mesh = self.mesh(scene, &sides)?;
         let n = mesh.len();
         // Areas tell whether the elements are those that were solved.
         let area: Vec<f64> = self.get("area", &[n as u64])?;
@@ -268,6 +274,16 @@ impl<'a> Arrays<'a> {
             mesh,
         };
         Ok(Kept { solution, about: self.meta })
+    }
+
+    /// The elements: their levels tell those of an adaptive mesh.
+    fn mesh(&mut self, scene: &Scene, sides: &Sides) -> Result<Mesh> {
+        let size = self.size("element_size")?;
+        let Some(bytes) = self.bytes("level")? else { return Mesh::new(scene, sides, size, false) };
+        let levels: Vec<u8> = self.values("level", &bytes, None)?;
+        let division = Division::of_levels(scene, sides, size, &levels);
+        let division = division.ok_or_else(|| self.damaged("level: no such mesh"))?;
+        Mesh::divided(scene, sides, &division, false)
     }
 
     fn objects(&mut self, scene: &Scene) -> Result<Vec<ObjectRadiosity>> {

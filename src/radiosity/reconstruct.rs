@@ -35,15 +35,18 @@ impl Field {
                 let (face, front, cell) = mesh.place(e);
                 let grid = mesh.grid(face);
                 let ids = grid.cell_nodes(cell).map(|k| nodes.id(face, front, k));
-                (ids, if grid.triangle { 3.0 } else { 4.0 })
+                (ids, if grid.is_triangle() { 3.0 } else { 4.0 })
             })
             .collect();
+        // Near values count for more: those of smaller cells.
+        let share: Vec<f64> =
+            (0..mesh.len()).map(|e| open[e] * f64::from(1u32 << mesh.level(e as u32))).collect();
         let mut weight = vec![0.0; nodes.count()];
         let mut low = vec![Rgb::INFINITY; nodes.count()];
         let mut high = vec![Rgb::ZERO; nodes.count()];
         for (e, (ids, count)) in corners.iter().enumerate().filter(|(e, _)| open[*e] > 0.0) {
             for &id in &ids[..*count as usize] {
-                weight[id] += open[e];
+                weight[id] += share[e];
                 low[id] = low[id].min(values[e]);
                 high[id] = high[id].max(values[e]);
             }
@@ -51,7 +54,7 @@ impl Field {
         let spread = |per_element: &dyn Fn(usize) -> Rgb| -> Vec<Rgb> {
             let mut sum = vec![Rgb::ZERO; nodes.count()];
             for (e, (ids, count)) in corners.iter().enumerate().filter(|(e, _)| open[*e] > 0.0) {
-                let v = per_element(e) * open[e];
+                let v = per_element(e) * share[e];
                 for &id in &ids[..*count as usize] {
                     sum[id] += v;
                 }
@@ -72,8 +75,8 @@ impl Field {
                 let margin = high[k] - low[k];
                 *v = (*v + missing[k]).clamp((low[k] - margin).max(Rgb::ZERO), high[k] + margin);
             }
+            nodes.settle(&mut field);
         }
-        nodes.settle(&mut field);
         Field { nodes: field.iter().map(|v| v.as_vec3().to_array()).collect() }
     }
 

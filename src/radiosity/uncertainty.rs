@@ -20,7 +20,7 @@ use super::solve::{Krylov, norm};
 use super::symmetric::Symmetric;
 use crate::color::Rgb;
 use crate::form_factor::Row;
-use crate::mesh::Mesh;
+use crate::mesh::{Lattice, Mesh};
 use crate::sampling::seed_of;
 use crate::scene::Scene;
 use rayon::prelude::*;
@@ -387,11 +387,12 @@ fn neighbours(scene: &Scene, mesh: &Mesh, element: u32, mut found: impl FnMut(u3
     let (face, front, cell) = mesh.place(element);
     let grid = mesh.grid(face);
     let first = element - cell;
-    if !grid.triangle && grid.len() >= 4 {
-        let (iu, iv) = (cell % grid.nu, cell / grid.nu);
-        for v in iv.saturating_sub(1)..(iv + 2).min(grid.nv) {
-            for u in iu.saturating_sub(1)..(iu + 2).min(grid.nu) {
-                found(first + v * grid.nu + u);
+    if !grid.is_triangle() && !grid.is_adaptive() && grid.len() >= 4 {
+        let Lattice { nu, nv, .. } = grid.lattice;
+        let (iu, iv) = (cell % nu, cell / nu);
+        for v in iv.saturating_sub(1)..(iv + 2).min(nv) {
+            for u in iu.saturating_sub(1)..(iu + 2).min(nu) {
+                found(first + v * nu + u);
             }
         }
         return;

@@ -3,7 +3,7 @@
 use super::Context;
 use crate::color::Rgb;
 use crate::emitters::Emitters;
-use crate::mesh::{Grid, NONE};
+use crate::mesh::{Grid, Lattice, NONE};
 use crate::radiosity::{Field, Solution};
 use crate::scene::Scene;
 use crate::visibility::SurfaceHit;
@@ -27,6 +27,7 @@ struct Landing {
 
 impl Landings {
     pub fn new(scene: &Scene, emitters: &Emitters, solution: Option<&Solution>) -> Landings {
+        let none = Lattice { nu: 1, nv: 1, triangle: false };
         let landing = |k: usize| {
             let material = scene.material(&scene.faces[k]);
             let kind = |front: bool| {
@@ -36,7 +37,7 @@ impl Landings {
             };
             let nodes = |front: bool| solution.map_or(NONE, |s| s.nodes.first(k as u32, front));
             Landing {
-                grid: solution.map_or(Grid { nu: 1, nv: 1, triangle: false }, |s| *s.mesh.grid(k as u32)),
+                grid: solution.map_or_else(|| none.into(), |s| s.mesh.grid(k as u32).clone()),
                 nodes: [nodes(true), nodes(false)],
                 kind: [kind(true), kind(false)],
             }

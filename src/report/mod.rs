@@ -9,6 +9,7 @@ pub mod suite;
 pub(crate) mod text;
 
 use crate::accuracy::Achieved;
+use crate::adaptive::Adapted;
 use crate::color::Rgb;
 use crate::form_factor::pairs::PairCounts;
 use crate::form_factor::{Correction, Factors as WrittenFactors, Found, HemicubeErrors, HemicubeSettings};
@@ -59,6 +60,9 @@ pub struct StandardErrors {
 pub struct Pass1Report {
     /// What was asked for.
     pub settings: Pass1,
+    /// How elements were adapted to the light, where they were.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub adaptive: Option<Adapted>,
     /// Largest element edge used \[m\].
     pub element_size: f64,
     /// Elements.
@@ -97,6 +101,7 @@ impl Pass1Report {
         let relative_rms = if mean > 0.0 { (square / total).sqrt() / (mean / total) } else { 0.0 };
         Pass1Report {
             settings: *settings,
+            adaptive: None,
             element_size: s.mesh.element_size,
             elements: s.mesh.len(),
             factors: result.factors,

@@ -124,9 +124,10 @@ fn read_settings(top: &Section<'_>, plan: &mut Plan) -> Result<()> {
         }
     }
     if let Some(radiosity) = section("radiosity")? {
-        radiosity.warn_unknown(&["element_size", "rays"], &mut plan.warnings);
+        radiosity.warn_unknown(&["element_size", "rays", "adaptive"], &mut plan.warnings);
         let size = radiosity.get("element_size").map(|e| e.positive()).transpose()?;
         plan.radiosity.element_size = size.map(|s| s * plan.unit);
+        plan.radiosity.adaptive = radiosity.get("adaptive").map_or(Ok(false), |e| e.flag())?;
         plan.radiosity.rays = radiosity.get("rays").map(|e| e.count(u32::MAX)).transpose()?;
     }
     if let Some(render) = section("render")? {

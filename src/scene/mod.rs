@@ -104,6 +104,8 @@ pub struct RadiosityDefaults {
     pub element_size: Option<f64>,
     /// Rays an element.
     pub rays: Option<u32>,
+    /// Elements are fine only where the light asks for it.
+    pub adaptive: bool,
 }
 
 /// Defaults for pass 2 from the scene file; the command line overrides them.

@@ -55,8 +55,9 @@ impl Polygon {
             let (p0, e1, e2) = scene.face_frame(face_ref);
             let (o, a, b) = grid.cell_frame(cell);
             let at = |uv: glam::DVec2| p0 + uv.x * e1 + uv.y * e2;
-            let corners = [at(o), at(o + a), at(if grid.triangle { o + b } else { o + a + b }), at(o + b)];
-            Polygon::new(&corners[..if grid.triangle { 3 } else { 4 }], face_ref.normal)
+            let corners =
+                [at(o), at(o + a), at(if grid.is_triangle() { o + b } else { o + a + b }), at(o + b)];
+            Polygon::new(&corners[..if grid.is_triangle() { 3 } else { 4 }], face_ref.normal)
         };
         if !front {
             polygon.corners[..polygon.len].reverse();

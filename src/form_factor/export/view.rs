@@ -167,7 +167,8 @@ fn unfolded(scene: &Scene, mesh: &Mesh, element: u32, resolution: u32) -> Pixels
 fn checker(mesh: &Mesh, element: u32) -> bool {
     let (face, _, cell) = mesh.place(element);
     let grid = mesh.grid(face);
-    if grid.triangle { cell % 2 == 1 } else { (cell % grid.nu + cell / grid.nu) % 2 == 1 }
+    let nu = grid.lattice.nu;
+    if grid.is_triangle() || grid.is_adaptive() { cell % 2 == 1 } else { (cell % nu + cell / nu) % 2 == 1 }
 }
 
 fn shade(color: Srgb, darker: bool) -> Srgb {

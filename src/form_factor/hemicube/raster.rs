@@ -9,7 +9,7 @@
 //! reciprocal depth `d . N / p_0 . N` is linear as well.
 
 use super::delta::side_rows;
-use crate::mesh::{Grid, Mesh, NONE};
+use crate::mesh::{Lattice, Mesh, NONE};
 use crate::scene::Scene;
 use glam::{DMat3, DVec3};
 
@@ -63,7 +63,9 @@ struct Drawn {
     v: DVec3,
     /// First element of the side that is seen.
     first: u32,
-    grid: Grid,
+    face: u32,
+    /// The cells of its face, or the finest of them.
+    lattice: Lattice,
 }
 
 /// A face on one side of the hemi-cube.
@@ -202,7 +204,8 @@ impl<'a> ItemBuffer<'a> {
             u: e2.cross(p0),
             v: p0.cross(e1),
             first: self.mesh.first(k as u32, front),
-            grid: *self.mesh.grid(k as u32),
+            face: k as u32,
+            lattice: self.mesh.grid(k as u32).lattice,
         });
         let count = if face.is_triangle() { 3 } else { 4 };
         let mut edges = [DVec3::ZERO; 4];
@@ -293,11 +296,15 @@ impl<'a> ItemBuffer<'a> {
             match self.drawn.get(item as usize) {
                 None => tell(from, to, Seen::Outside),
                 Some(face) if face.first == NONE => tell(from, to, Seen::Blocked),
-                Some(face) if face.grid.len() == 1 => tell(from, to, Seen::Element(face.first)),
+                Some(face) if face.lattice.len() == 1 => tell(from, to, Seen::Element(face.first)),
                 Some(face) => {
                     let direction = forward + (pixel * (from as f64 + 0.5) - 1.0) * right + b * up;
                     let cells = &mut self.cells[..to - from];
                     locate(face, direction, pixel * right, &self.ramp, cells);
+                    let grid = self.mesh.grid(face.face);
+                    if grid.is_adaptive() {
+                        cells.iter_mut().for_each(|c| *c = grid.holding(*c));
+                    }
                     let mut k = 0;
                     while k < cells.len() {
                         let cell = cells[k];
@@ -338,11 +345,11 @@ const ROUND: f32 = 8_388_608.0;
 
 /// The cell of a face in each of a run of pixels, from the direction to the first and its step.
 ///
-/// As [`Grid::cell`], but for what lies on the line between two cells to rounding.
+/// As [`Lattice::cell`], but for what lies on the line between two cells to rounding.
 #[inline]
 fn locate(face: &Drawn, direction: DVec3, step: DVec3, ramp: &[f32], cells: &mut [u32]) {
     let linear = |v: DVec3| (direction.dot(v) as f32, step.dot(v) as f32);
-    let (grid, (d0, d1)) = (face.grid, linear(face.normal));
+    let (grid, (d0, d1)) = (face.lattice, linear(face.normal));
     let (u0, u1) = linear(face.u * f64::from(grid.nu));
     let (v0, v1) = linear(face.v * f64::from(grid.nv));
     let (nu, nv) = (grid.nu as f32, grid.nv as f32);

@@ -1,0 +1,387 @@
+//! Adaptive meshes: cells of several levels are one surface without cracks, and fewer elements show the same light.
+
+mod common;
+
+use common::{Files, box_faces, device};
+use glam::{DVec2, DVec3};
+use twopass::adaptive::{self, Adapted};
+use twopass::color::Rgb;
+use twopass::emitters::Emitters;
+use twopass::mesh::{Division, Mesh, Nodes, Sides};
+use twopass::pipeline::{Pass1, Pass1Result};
+use twopass::radiosity::{Field, Reads, Solution};
+use twopass::scene::{Scene, load};
+use twopass::visibility::Visibility;
+
+fn scene_of(obj: &str) -> Scene {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("s.obj");
+    std::fs::write(&path, obj).unwrap();
+    load(&path).unwrap()
+}
+
+/// A number in [0, 1) that looks random (SplitMix64).
+fn noise(k: u64) -> f64 {
+    let mut z = (k + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+}
+
+const SQUARE: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n";
+const TRIANGLE: &str = "v 0 0 0\nv 1 0 0\nv 0.3 0.8 0\nf 1 2 3\n";
+/// No parallelogram: two triangles.
+const TRAPEZIUM: &str = "v 0 0 0\nv 2 0 0\nv 1.5 1 0\nv 0 1 0\nf 1 2 3 4\n";
+/// Parallelograms, a triangle beside one, and a triangle of twice the size beside that.
+const MIXED: &str = "v 0 0 0\nv 1 0 0\nv 2 0 0\nv 0 1 0\nv 1 1 0\nv 2 1 0\nv 3 0.4 0\nv 5 3 0\n\
+                     f 1 2 5 4\nf 2 3 6 5\nf 3 7 6\nf 7 8 6\n";
+/// Long cells beside square ones.
+const STRIPS: &str = "v 0 0 0\nv 1 0 0\nv 1 0.1 0\nv 0 0.1 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\nf 4 3 5 6\n";
+const ALL: [&str; 5] = [SQUARE, TRIANGLE, TRAPEZIUM, MIXED, STRIPS];
+
+/// Cells divided at random, up to `rounds` times.
+struct Setup {
+    scene: Scene,
+    division: Division,
+    mesh: Mesh,
+    nodes: Nodes,
+}
+
+impl Setup {
+    fn new(obj: &str, size: f64, rounds: u64, balanced: bool) -> Setup {
+        let scene = scene_of(obj);
+        let sides = Sides::all(&scene);
+        let mut division = Division::new(&scene, &sides, size).unwrap();
+        for round in 0..rounds {
+            division.split(|face, cell| noise(round << 40 | u64::from(face) << 20 | u64::from(cell)) < 0.4);
+            if balanced {
+                division.balance(&scene, &sides).unwrap();
+            }
+        }
+        let mesh = Mesh::divided(&scene, &sides, &division, false).unwrap();
+        let nodes = Nodes::new(&scene, &mesh);
+        Setup { scene, division, mesh, nodes }
+    }
+
+    fn field(&self, value: impl Fn(u32) -> f64) -> Field {
+        let values: Vec<Rgb> = (0..self.mesh.len() as u32).map(|e| Rgb::splat(value(e))).collect();
+        Field::new(&self.mesh, &self.nodes, &vec![1.0; self.mesh.len()], &values)
+    }
+
+    fn at(&self, field: &Field, side: (u32, bool), uv: DVec2) -> f64 {
+        field.at(&self.mesh, &self.nodes, side, uv.x as f32, uv.y as f32).unwrap().x
+    }
+
+    /// Every face whose closure holds a point of the plane, with its (u, v) there.
+    fn faces_at(&self, point: DVec3) -> Vec<(u32, DVec2)> {
+        let faces = 0..self.scene.faces.len() as u32;
+        let place = |face: u32| {
+            let (p0, e1, e2) = self.scene.face_frame(&self.scene.faces[face as usize]);
+            let n = e1.cross(e2);
+            let d = point - p0;
+            (face, DVec2::new(d.cross(e2).dot(n), e1.cross(d).dot(n)) / n.length_squared())
+        };
+        let inside = |(face, uv): &(u32, DVec2)| {
+            let far = if self.mesh.grid(*face).is_triangle() { uv.x + uv.y } else { uv.max_element() };
+            uv.min_element() > -1e-9 && far < 1.0 + 1e-9
+        };
+        faces.map(place).filter(inside).collect()
+    }
+}
+
+/// Points of every cell name it, areas and shares add up, corners are where interpolation puts all weight on one node.
+#[test]
+fn lookup_agrees_with_geometry_on_every_cell() {
+    for obj in ALL {
+        let s = Setup::new(obj, 0.04, 4, false);
+        assert!(s.division.deepest() >= 3, "{obj}");
+        for face in 0..s.scene.faces.len() as u32 {
+            let grid = s.mesh.grid(face);
+            let points = grid.node_points();
+            assert_eq!(points.len(), grid.node_count() as usize);
+            let mut whole = 0.0;
+            for cell in 0..grid.len() as u32 {
+                whole += grid.share(cell);
+                let frame = grid.cell_frame(cell);
+                for (a, b) in [(0.5, 0.5), (0.01, 0.02), (0.98, 0.99), (0.02, 0.97), (0.97, 0.02)] {
+                    let p = grid.cell_point(&frame, a, b);
+                    assert_eq!(grid.cell(p.x as f32, p.y as f32), cell, "{obj} {cell} {p}");
+                    let (local, weights) = grid.interpolation(p.x as f32, p.y as f32);
+                    assert_eq!(local, grid.cell_nodes(cell));
+                    let sum: DVec2 =
+                        local.iter().zip(weights).map(|(n, w)| f64::from(w) * points[*n as usize]).sum();
+                    assert!(sum.distance(p) < 1e-6, "{obj} {cell}: {sum} {p}");
+                }
+                let c = grid.centroid(cell);
+                assert_eq!(grid.cell(c.x as f32, c.y as f32), cell);
+            }
+            assert!((whole - 1.0).abs() < 1e-12, "{obj}: {whole}");
+        }
+        let area: f64 = (0..s.mesh.len() as u32).map(|e| s.mesh.area(e)).sum();
+        let faces: f64 = s.scene.faces.iter().map(|f| f.area).sum();
+        assert!((area - 2.0 * faces).abs() < 1e-9);
+    }
+}
+
+/// The light shown from both sides of every edge of every cell, within faces and between them, balanced or not.
+#[test]
+fn no_edge_of_any_cell_is_a_crack() {
+    const STEP: f64 = 2e-7;
+    for obj in ALL {
+        for balanced in [false, true] {
+            let s = Setup::new(obj, 0.04, 4, balanced);
+            let field = s.field(|e| noise(u64::from(e)));
+            let (mut edges, mut largest, mut range) = (0, 0.0f64, (f64::MAX, f64::MIN));
+            for face in 0..s.scene.faces.len() as u32 {
+                let grid = s.mesh.grid(face);
+                let (p0, e1, e2) = s.scene.face_frame(&s.scene.faces[face as usize]);
+                for cell in 0..grid.len() as u32 {
+                    let (o, a, b) = grid.cell_frame(cell);
+                    let mut around = vec![(o, a), (o, b)];
+                    around.extend(if grid.is_triangle() {
+                        vec![(o + a, b - a)]
+                    } else {
+                        vec![(o + a, b), (o + b, a)]
+                    });
+                    for (start, edge) in around {
+                        edges += 1;
+                        for k in 0..=32 {
+                            let uv = start + f64::from(k) / 32.0 * edge;
+                            let point = p0 + uv.x * e1 + uv.y * e2;
+                            let mut shown = Vec::new();
+                            for (other, at) in s.faces_at(point) {
+                                let across = STEP * edge.perp().normalize();
+                                shown.extend([at, at + across, at - across].map(|p| {
+                                    let p = p.clamp(DVec2::ZERO, DVec2::ONE);
+                                    s.at(&field, (other, true), p)
+                                }));
+                            }
+                            let (low, high) =
+                                shown.iter().fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(*v), h.max(*v)));
+                            largest = largest.max(high - low);
+                            range = (range.0.min(low), range.1.max(high));
+                        }
+                    }
+                }
+            }
+            println!("{obj:?}: {} elements, {edges} edges, {largest:.1e}", s.mesh.len());
+            assert!(largest < 1e-4, "{obj}, balanced {balanced}: {largest}");
+            assert!(range.1 - range.0 > 0.5, "the test needs values that vary: {range:?}");
+        }
+    }
+}
+
+/// Balanced meshes have no neighbours of less than half the edge, as far as faces may be divided.
+#[test]
+fn balance_grades_the_cells() {
+    let scene = scene_of(SQUARE);
+    let sides = Sides::all(&scene);
+    let mut division = Division::new(&scene, &sides, 1.0 / 64.0).unwrap();
+    // The cells beside the middle alone, on one side of it, ever finer.
+    let mut coarse = 0;
+    loop {
+        let mesh = Mesh::divided(&scene, &sides, &division, false).unwrap();
+        coarse = coarse.max(mesh.len());
+        let beside = mesh.grid(0).cell(0.499, 0.499);
+        if division.split(|_, cell| cell == beside) == 0 {
+            break;
+        }
+    }
+    division.balance(&scene, &sides).unwrap();
+    let mesh = Mesh::divided(&scene, &sides, &division, false).unwrap();
+    assert!(mesh.len() > coarse);
+    for e in (0..mesh.len() as u32).filter(|e| mesh.place(*e).1) {
+        let (face, front, cell) = mesh.place(e);
+        let (o, a, b) = mesh.grid(face).cell_frame(cell);
+        for p in
+            [o - 0.01 * a + 0.5 * b, o + 1.01 * a + 0.5 * b, o - 0.01 * b + 0.5 * a, o + 1.01 * b + 0.5 * a]
+        {
+            if p.min_element() > 0.0 && p.max_element() < 1.0 {
+                let beside = mesh.level(mesh.element(face, front, p.x as f32, p.y as f32));
+                assert!(mesh.level(e).abs_diff(beside) <= 1, "{o}: {} beside {beside}", mesh.level(e));
+            }
+        }
+    }
+}
+
+#[test]
+fn constants_come_back_exactly_everywhere() {
+    for obj in ALL {
+        let s = Setup::new(obj, 0.04, 4, false);
+        let field = s.field(|_| 0.7);
+        for k in 0..500 {
+            let uv = DVec2::new(noise(2 * k), noise(2 * k + 1));
+            let uv = if uv.x + uv.y > 1.0 { DVec2::ONE - uv } else { uv };
+            for face in 0..s.scene.faces.len() as u32 {
+                assert!((s.at(&field, (face, true), uv) - 0.7).abs() < 1e-6);
+            }
+        }
+    }
+}
+
+/// Levels alone tell the mesh; levels that fit none are refused.
+#[test]
+fn levels_tell_the_division() {
+    for obj in ALL {
+        let s = Setup::new(obj, 0.04, 4, true);
+        let sides = s.mesh.sides();
+        let levels: Vec<u8> = (0..s.mesh.len() as u32).map(|e| s.mesh.level(e)).collect();
+        let again = Division::of_levels(&s.scene, &sides, 0.04, &levels);
+        assert_eq!(again.as_ref(), Some(&s.division));
+        let refused = |levels: &[u8]| {
+            Division::of_levels(&s.scene, &sides, 0.04, levels)
+                .is_none_or(|d| Mesh::divided(&s.scene, &sides, &d, false).is_err())
+        };
+        assert!(refused(&levels[1..]) && refused(&[]) && refused(&[levels.clone(), vec![1]].concat()));
+        assert!(refused(&vec![255; levels.len()]) && refused(&vec![12; levels.len()]));
+        let mut finer = levels.clone();
+        finer[0] += 1;
+        assert!(refused(&finer), "{obj}");
+    }
+}
+
+/// A room with a lamp and a block on its floor.
+fn room() -> Scene {
+    let mut files = Files::default();
+    files.diffuse("white", &[0.7], &[0.0]).diffuse("lamp", &[0.0], &[40.0]);
+    for (name, points) in box_faces([0.0; 3], [2.0, 1.5, 1.0], true) {
+        files.polygon(name, "white", &points);
+    }
+    for (name, points) in box_faces([0.6, 0.5, 0.0], [0.4, 0.4, 0.5], false) {
+        files.polygon(&format!("block {name}"), "white", &points);
+    }
+    files.polygon("lamp", "lamp", &[[0.2, 0.3, 0.99], [0.2, 0.6, 0.99], [0.5, 0.6, 0.99], [0.5, 0.3, 0.99]]);
+    files.load()
+}
+
+fn solve(scene: &Scene, size: f64, rays: u32, reads: Reads) -> (Pass1Result, Adapted) {
+    let device = device();
+    let visibility = Visibility::new(&device, scene).unwrap();
+    let emitters = Emitters::new(&visibility);
+    let settings = Pass1 { rays, element_size: Some(size), seed: 0 };
+    let what = (&settings, reads);
+    adaptive::solve(None, &visibility, &emitters, &scene.cameras, what, &|_| {}, &mut Vec::new()).unwrap()
+}
+
+/// Elements gather about the block's foot and its shadow's edge, and power is in balance on the graded mesh.
+#[test]
+fn elements_gather_where_the_light_changes() {
+    let scene = room();
+    let (result, adapted) = solve(&scene, 0.02, 1024, Reads::Reflected);
+    let s = &result.solution;
+    println!("{adapted:?}, residual {}", s.ledger.residual);
+    assert_eq!(adapted.elements.last(), Some(&s.mesh.len()));
+    assert!(s.mesh.len() * 4 < adapted.uniform_elements, "{adapted:?}");
+    assert!(s.ledger.residual.abs().max_element() < 0.01, "{}", s.ledger.residual);
+    // Mean area of the floor's elements within 3 cm of the block, and of those in the far corner.
+    let mean = |near: &dyn Fn(DVec3) -> bool| {
+        let floor = |e: &u32| {
+            s.mesh.normal(&scene, *e).z > 0.9
+                && (s.mesh.centroid(&scene, *e) + scene.center).z < 1e-6
+                && near(s.mesh.centroid(&scene, *e) + scene.center)
+        };
+        let areas: Vec<f64> = (0..s.mesh.len() as u32).filter(floor).map(|e| s.mesh.area(e)).collect();
+        areas.iter().sum::<f64>() / areas.len() as f64
+    };
+    let distance = |p: DVec3| {
+        let d = (DVec3::new(0.8, 0.7, 0.0) - p).abs() - DVec3::splat(0.2);
+        d.x.max(d.y)
+    };
+    let (foot, open) = (mean(&|p| (0.0..0.03).contains(&distance(p))), mean(&|p| p.x > 1.6 && p.y > 1.1));
+    println!("area at the foot {foot:.1e}, in the open {open:.1e}");
+    assert!(open > 8.0 * foot, "{open} {foot}");
+}
+
+/// An adaptive solution comes back from its file to the bit.
+#[test]
+fn files_keep_adaptive_solutions() {
+    let scene = room();
+    let (result, _) = solve(&scene, 0.05, 256, Reads::Indirect);
+    assert!(result.solution.mesh.is_adaptive());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("s.npz");
+    let bytes = result.solution.to_npz(&scene, serde_json::Map::new()).unwrap();
+    std::fs::write(&path, &bytes).unwrap();
+    let kept = Solution::read_npz(&scene, &path).unwrap();
+    assert!(kept.solution.to_npz(&scene, serde_json::Map::new()).unwrap() == bytes);
+    for k in 0..2000 {
+        let (face, uv) =
+            (k % scene.faces.len() as u32, DVec2::new(noise(2 * u64::from(k)), noise(2 * u64::from(k) + 1)));
+        for front in [true, false] {
+            let [a, b] = [&result.solution, &kept.solution]
+                .map(|s| s.indirect.at(&s.mesh, &s.nodes, (face, front), uv.x as f32, uv.y as f32));
+            assert_eq!(a, b);
+        }
+    }
+}
+
+/// The same mesh and light on one thread and on several.
+#[test]
+fn threads_change_nothing() {
+    let scene = room();
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| solve(&scene, 0.05, 256, Reads::Reflected).0.solution)
+    };
+    let (one, three) = (run(1), run(3));
+    assert_eq!(one.mesh.len(), three.mesh.len());
+    assert!(one.radiosity == three.radiosity && one.standard_error == three.standard_error);
+}
+
+/// Light shown at points spread over all faces of a solution, front sides, in turn.
+fn shown(scene: &Scene, s: &Solution) -> Vec<(f64, Rgb)> {
+    const POINTS: u64 = 400;
+    let mut found = Vec::new();
+    for (k, face) in scene.faces.iter().enumerate() {
+        for p in 0..POINTS {
+            let [u, v] = [0, 1].map(|c| noise(((k as u64) << 32) + 2 * p + c));
+            let value = s.reflected.at(&s.mesh, &s.nodes, (k as u32, true), u as f32, v as f32);
+            found.push((face.area / POINTS as f64, value.unwrap_or_default()));
+        }
+    }
+    found
+}
+
+/// Mean square of the error of two independent solutions against two independent references: free of the noise of either.
+fn square_error(found: &[Vec<(f64, Rgb)>; 2], reference: &[Vec<(f64, Rgb)>; 2]) -> f64 {
+    let (mut sum, mut area) = (0.0, 0.0);
+    for k in 0..found[0].len() {
+        let off = |i: usize, j: usize| found[i][k].1 - reference[j][k].1;
+        sum += found[0][k].0 * 0.5 * (off(0, 0) * off(1, 1) + off(0, 1) * off(1, 0)).element_sum() / 3.0;
+        area += found[0][k].0;
+    }
+    sum / area
+}
+
+/// The adaptive mesh of N elements is no more wrong than the uniform one of 4 N.
+#[test]
+fn fewer_elements_show_the_same_light() {
+    let scene = room();
+    let device = device();
+    let visibility = Visibility::new(&device, &scene).unwrap();
+    let emitters = Emitters::new(&visibility);
+    let run = |size: f64, seed: u32, adapt: bool| {
+        let settings = Pass1 { rays: 512, element_size: Some(size), seed };
+        let stages = &mut Vec::new();
+        let result = if adapt {
+            let what = (&settings, Reads::Reflected);
+            adaptive::solve(None, &visibility, &emitters, &[], what, &|_| {}, stages).unwrap().0
+        } else {
+            twopass::pipeline::solve(&visibility, &emitters, &[], &settings, &|_| {}, stages).unwrap()
+        };
+        (result.solution.mesh.len(), shown(&scene, &result.solution))
+    };
+    let reference = [run(0.02, 11, false).1, run(0.02, 12, false).1];
+    let error = |size: f64, adapt: bool| {
+        let found = [run(size, 1, adapt), run(size, 2, adapt)];
+        let n = found[0].0;
+        let e = square_error(&found.map(|f| f.1), &reference).max(0.0).sqrt();
+        println!("{n} elements, adaptive {adapt}, edges from {size} m: {e:.4} W m^-2");
+        (n, e)
+    };
+    let adaptive = error(0.02, true);
+    let uniform = [0.1, 0.05, 0.039].map(|size| error(size, false));
+    let fourfold = uniform.iter().filter(|u| u.0 >= 4 * adaptive.0).map(|u| u.1).fold(0.0, f64::max);
+    assert!(fourfold > 0.0, "{uniform:?}");
+    assert!(adaptive.1 < fourfold, "{adaptive:?} {uniform:?}");
+}
