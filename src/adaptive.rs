@@ -16,8 +16,10 @@ use serde::Serialize;
 const MOST_PASSES: usize = 12;
 /// What may be left to cells that might be divided, over the squared error of the finest mesh.
 const REST: f64 = 2.0;
-/// A pass that would add less than this part of the elements is not worth its solve.
+/// A pass that would add less than this part of the elements, where the error is nearly what it may be, is not worth its solve.
 const LITTLE: usize = 10;
+/// How many times what may be left is nearly that.
+const NEARLY: f64 = 2.0;
 
 /// What adapting came to.
 #[derive(Debug, Clone, Serialize)]
@@ -60,8 +62,8 @@ pub fn solve(
             && pipeline::building(stages, || -> Result<bool> {
                 let s = &result.solution;
                 let errors = element_errors(scene, &division, s, &result.open, reads)?;
-                let chosen = worst_cells(&s.mesh, &division, &errors, REST);
-                if 3 * chosen.len() <= elements / LITTLE {
+                let (chosen, excess) = worst_cells(&s.mesh, &division, &errors, REST);
+                if chosen.is_empty() || (3 * chosen.len() <= elements / LITTLE && excess < NEARLY) {
                     return Ok(false);
                 }
                 division.split(|face, cell| chosen.binary_search(&(face, cell)).is_ok());

@@ -269,9 +269,10 @@ pub fn tell_factors(progress: &Progress, result: &Pass1Result) {
 pub fn tell_adapted(progress: &Progress, pass1: &Pass1Report) {
     let Some(adapted) = &pass1.adaptive else { return };
     progress.line(&format!(
-        "{} elements in {} passes, the finest of at most {:.4} m; uniform ones would be {}",
+        "{} elements in {} {}, the finest of at most {:.4} m; uniform ones would be {}",
         pass1.elements,
         adapted.elements.len(),
+        if adapted.elements.len() == 1 { "pass" } else { "passes" },
         pass1.element_size,
         adapted.uniform_elements
     ));

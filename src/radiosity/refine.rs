@@ -98,8 +98,9 @@ fn at_centroid(field: &Field, (of, nodes): (&Mesh, &Nodes), mesh: &Mesh, element
 }
 
 /// The cells to divide, by (face, cell) in order: the fewest that leave to others that may be divided no more than `rest` times
-/// the error that the finest mesh would have, were it all along edges. The sides of a face share its cells.
-pub fn worst_cells(mesh: &Mesh, division: &Division, errors: &[f64], rest: f64) -> Vec<(u32, u32)> {
+/// the error that the finest mesh would have, were it all along edges; and how many times that there is before. The sides of a face
+/// share its cells.
+pub fn worst_cells(mesh: &Mesh, division: &Division, errors: &[f64], rest: f64) -> (Vec<(u32, u32)>, f64) {
     let mut cells: Vec<(f64, (u32, u32))> = Vec::new();
     let (mut left, mut final_error) = (0.0, 0.0);
     for e in 0..mesh.len() as u32 {
@@ -117,6 +118,7 @@ pub fn worst_cells(mesh: &Mesh, division: &Division, errors: &[f64], rest: f64) 
         }
     }
     let allowed = rest * final_error;
+    let excess = if left > 0.0 { left / allowed } else { 0.0 };
     cells.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     let mut chosen = Vec::new();
     for (error, at) in cells {
@@ -127,5 +129,5 @@ pub fn worst_cells(mesh: &Mesh, division: &Division, errors: &[f64], rest: f64) 
         chosen.push(at);
     }
     chosen.sort_unstable();
-    chosen
+    (chosen, excess)
 }
