@@ -27,7 +27,7 @@ pub struct Adapted {
     /// Elements of each mesh that was solved.
     pub elements: Vec<usize>,
     /// Elements of the uniform mesh of the same size.
-    pub uniform_elements: usize,
+    pub uniform_elements: u64,
 }
 
 /// [`pipeline::solve_within`] with adaptive elements; the settings' element size is that of the finest.
@@ -45,8 +45,8 @@ pub fn solve(
     let size = settings.element_size.unwrap_or_else(|| default_element_size(scene));
     let (reached, uniform, mut division) = pipeline::building(stages, || {
         let reached = pipeline::reached(visibility, cameras, settings.seed);
-        let uniform = Mesh::new(scene, &reached, size, false)?.len();
         let mut division = Division::new(scene, &reached, size)?;
+        let uniform = Mesh::uniform_len(scene, &reached, size);
         division.balance(scene, &reached)?;
         Ok::<_, crate::Error>((reached, uniform, division))
     })?;
@@ -71,23 +71,8 @@ pub fn solve(
                 Ok(true)
             })?;
         if !more {
-            stages.extend(together(own));
+            pipeline::merge(stages, own);
             return Ok((result, adapted));
         }
     }
-}
-
-/// Each stage once, with the time and the rays of all its passes.
-fn together(stages: Vec<Stage>) -> Vec<Stage> {
-    let mut sums: Vec<Stage> = Vec::new();
-    for stage in stages {
-        match sums.iter_mut().find(|s| s.name == stage.name) {
-            Some(sum) => {
-                sum.seconds += stage.seconds;
-                sum.rays += stage.rays;
-            }
-            None => sums.push(stage),
-        }
-    }
-    sums
 }

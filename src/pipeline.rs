@@ -3,7 +3,7 @@
 
 use crate::color::Rgb;
 use crate::emitters::Emitters;
-use crate::form_factor::{self, Aim, Casting, EmitterRows, EmitterWork, Recast, Rows, pass_on};
+use crate::form_factor::{self, Casting, EmitterRows, EmitterWork, ProjectionMap, Recast, Rows, pass_on};
 use crate::memory::{Factors, Need};
 use crate::mesh::{Mesh, NONE, Sides, default_element_size};
 use crate::radiosity::{self, Directional, EmitterLight, Solution};
@@ -63,6 +63,16 @@ pub fn stage<T>(
     stages.push(Stage { name, seconds: start.elapsed().as_secs_f64(), rays });
     observer(Event::End);
     result
+}
+
+/// Adds the times and rays of stages to those of the same name.
+pub fn merge(stages: &mut Vec<Stage>, more: Vec<Stage>) {
+    for s in more {
+        match stages.iter_mut().find(|t| t.name == s.name) {
+            Some(t) => (t.seconds, t.rays) = (t.seconds + s.seconds, t.rays + s.rays),
+            None => stages.push(s),
+        }
+    }
 }
 
 /// Settings of pass 1.
@@ -186,12 +196,17 @@ pub(crate) fn solve_mesh(
     // Particles cost no more than the rows' rays, where they can bring anything.
     let start = Instant::now();
     let most = if specular && !emitters.is_empty() { most_particles(mesh.len(), settings.rays) } else { 0.0 };
-    let aim = (most > 0.0)
-        .then(|| Aim::new(visibility, &mesh, emitters, (most / 16.0).min(524_288.0) as u32, settings.seed));
-    let aim = aim.flatten();
-    let particles = aim.as_ref().map_or(0, |aim| aimed_particles(most, aim) / batches);
+    let projection = (most > 0.0).then(|| {
+        ProjectionMap::new(visibility, &mesh, emitters, (most / 16.0).min(524_288.0) as u32, settings.seed)
+    });
+    let projection = projection.flatten();
+    let particles = projection.as_ref().map_or(0, |projection| aimed_particles(most, projection) / batches);
     let looked = start.elapsed().as_secs_f64();
-    let work = EmitterWork { samples: batches * samples, particles: batches * particles, aim: aim.as_ref() };
+    let work = EmitterWork {
+        samples: batches * samples,
+        particles: batches * particles,
+        projection: projection.as_ref(),
+    };
     let casting = Casting {
         rays: settings.rays,
         batches,
@@ -254,7 +269,7 @@ pub(crate) fn solve_mesh(
     };
     if let Some(cast) = stages.iter_mut().find(|s| s.name == "form-factors") {
         cast.seconds += looked;
-        cast.rays += aim.as_ref().map_or(0, |aim| aim.rays);
+        cast.rays += projection.as_ref().map_or(0, |projection| projection.rays);
     }
     result.factors = factors;
     Ok(result)
@@ -364,8 +379,8 @@ fn most_particles(elements: usize, rays: u32) -> f64 {
 }
 
 /// As many as bring light over chains as often as [`most_particles`] would.
-fn aimed_particles(most: f64, aim: &Aim) -> u32 {
-    (most * (aim.useful / aim.aimed).min(1.0)).max(65_536.0) as u32
+fn aimed_particles(most: f64, projection: &ProjectionMap) -> u32 {
+    (most * (projection.useful / projection.aimed).min(1.0)).max(65_536.0) as u32
 }
 
 fn finish(

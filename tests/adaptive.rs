@@ -263,6 +263,16 @@ fn solve(scene: &Scene, size: f64, rays: u32, reads: Reads) -> (Pass1Result, Ada
     adaptive::solve(None, &visibility, &emitters, &scene.cameras, what, &|_| {}, &mut Vec::new()).unwrap()
 }
 
+/// The uniform mesh that an adaptive one is compared with is counted as it would be made.
+#[test]
+fn uniform_elements_are_counted_without_making_them() {
+    let scene = room();
+    for (sides, size) in [(Sides::all(&scene), 0.07), (Sides::fronts(&scene), 0.013)] {
+        let mesh = Mesh::new(&scene, &sides, size, false).unwrap();
+        assert_eq!(Mesh::uniform_len(&scene, &sides, size), mesh.len() as u64);
+    }
+}
+
 /// Elements gather about the block's foot and its shadow's edge, and power is in balance on the graded mesh.
 #[test]
 fn elements_gather_where_the_light_changes() {
@@ -271,7 +281,7 @@ fn elements_gather_where_the_light_changes() {
     let s = &result.solution;
     println!("{adapted:?}, residual {}", s.ledger.residual);
     assert_eq!(adapted.elements.last(), Some(&s.mesh.len()));
-    assert!(s.mesh.len() * 4 < adapted.uniform_elements, "{adapted:?}");
+    assert!(s.mesh.len() as u64 * 4 < adapted.uniform_elements, "{adapted:?}");
     assert!(s.ledger.residual.abs().max_element() < 0.01, "{}", s.ledger.residual);
     // Mean area of the floor's elements within 3 cm of the block, and of those in the far corner.
     let mean = |near: &dyn Fn(DVec3) -> bool| {

@@ -11,7 +11,7 @@ use std::f64::consts::PI;
 use twopass::emitters::Emitters;
 use twopass::image::Image;
 use twopass::pipeline::{self, Pass1};
-use twopass::render::{Estimator, Method, Quality, Settings, Traced, render};
+use twopass::render::{Estimator, Method, Quality, Settings, cut_off, render};
 use twopass::scene::Scene;
 use twopass::visibility::Visibility;
 
@@ -489,8 +489,8 @@ fn what_cut_branches_drop_is_counted() {
     let (exact, count) = (0.999f64.powi(513), 147_456.0 * 0.98f64.powi(448));
     eprintln!("dropped {:.3}, exact {exact:.3} +- {:.3}", traced.dropped, exact / count.sqrt());
     assert!((traced.dropped - exact).abs() < 4.0 * exact / count.sqrt(), "{}", traced.dropped);
-    assert!(traced.warning().is_some_and(|w| w.contains("512th")));
-    assert_eq!(Traced::default().warning(), None);
+    assert!(cut_off(traced.dropped).is_some_and(|w| w.contains("512th")));
+    assert_eq!(cut_off(0.0), None);
 }
 
 /// Two-pass and path tracing of a small room with a glossy and with a mirror floor. Gathering and

@@ -12,7 +12,7 @@ mod pilot;
 
 use crate::emitters::Emitters;
 use crate::image::Image;
-use crate::pipeline::{Event, Observer, Pass1, Pass1Result, Stage, solve_within, stage};
+use crate::pipeline::{Event, Observer, Pass1, Pass1Result, Stage, merge, solve_within, stage};
 use crate::radiosity::UNCERTAIN;
 use crate::render::{Method, Quality, Settings, render};
 use crate::sampling::seed_of;
@@ -378,14 +378,4 @@ fn missed(a: &Achieved) -> Option<String> {
             a.asked, a.relative_rmse, a.noise, a.discretisation, a.spp, a.elements
         )
     })
-}
-
-/// Adds the times and rays of stages to those of the same name.
-fn merge(stages: &mut Vec<Stage>, more: Vec<Stage>) {
-    for s in more {
-        match stages.iter_mut().find(|t| t.name == s.name) {
-            Some(t) => (t.seconds, t.rays) = (t.seconds + s.seconds, t.rays + s.rays),
-            None => stages.push(s),
-        }
-    }
 }

@@ -12,7 +12,7 @@ use crate::image::{self, Image, WriteOptions};
 use crate::memory::Factors;
 use crate::pipeline::{self, Pass1, Pass1Result, Stage};
 use crate::radiosity::{Reads, Solution};
-use crate::render::{Estimator, Method, Quality, Settings, Traced, render, render_directional};
+use crate::render::{Estimator, Method, Quality, Settings, cut_off, render, render_directional};
 use crate::report::{KeptReport, Pass1Report, Report, Versions, command_line};
 use crate::scene::{Camera, Scene, load};
 use crate::sequence::{FrameTime, render_frames};
@@ -157,7 +157,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
             (args.output.iter().try_for_each(|output| image::write(&image, output, &options)), 0)
         })?;
     }
-    if let Some(w) = dropped.and_then(|dropped| Traced { rays: 0, dropped }.warning()) {
+    if let Some(w) = dropped.and_then(cut_off) {
         progress.warn(&w);
         warnings.push(w);
     }

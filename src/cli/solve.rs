@@ -25,13 +25,19 @@ pub fn run(args: &SolveArgs) -> Result<()> {
     let scene = pipeline::stage("load", 0, observer, &mut stages, || (load(&args.scene), 0))?;
     scene.warnings.iter().for_each(|w| progress.warn(w));
     let settings = pass1(&args.pass1, &scene, args.common.seed);
+    let reads = reads(&args.adaptive, &scene, Method::TwoPass(quality(args.quality, &scene)));
+    if args.quality.is_some() && reads.is_none() {
+        return Err(Error::Usage(
+            "--quality is what --adaptive refines for: a solution of uniform elements suits every quality"
+                .into(),
+        ));
+    }
     let device = Device::new(rayon::current_num_threads())?;
     let visibility =
         pipeline::stage("build", 0, observer, &mut stages, || (Visibility::new(&device, &scene), 0))?;
     let emitters = Emitters::new(&visibility);
     let limit = args.memory.limit();
     let cameras = scene.view_points();
-    let reads = reads(&args.adaptive, &scene, Method::TwoPass(quality(args.quality, &scene)));
     let what = (&visibility, &emitters, &cameras[..]);
     let (result, adapted) = pass1_of(what, (&settings, reads), limit, observer, &mut stages)?;
     tell_factors(&progress, &result);

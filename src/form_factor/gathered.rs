@@ -1,6 +1,6 @@
 //! Light of emitters that the rows' rays find on their way.
 
-use super::Aim;
+use super::ProjectionMap;
 use crate::color::Rgb;
 use crate::emitters::{Passage, mis_share};
 use rayon::prelude::*;
@@ -13,7 +13,7 @@ pub struct EmitterWork<'a> {
     /// Particles from the emitters in all, for specular chains.
     pub particles: u32,
     /// Where they are sent; none: in proportion to the emitted light.
-    pub aim: Option<&'a Aim>,
+    pub projection: Option<&'a ProjectionMap>,
 }
 
 impl EmitterWork<'_> {

@@ -1,6 +1,5 @@
 //! Form factors between elements, ordinary and extended.
 
-mod aim;
 pub mod analytic;
 mod correct;
 mod estimate;
@@ -11,6 +10,7 @@ mod hemicube;
 mod matrix;
 mod mirror;
 pub mod pairs;
+mod projection;
 mod raycast;
 mod recast;
 mod rows;
@@ -19,7 +19,6 @@ mod specular;
 mod table;
 mod tally;
 
-pub use aim::Aim;
 pub use correct::{Correction, Enforce, correct};
 pub use estimate::{MOST_RAYS, Request, by_pairs, estimate, unoccluded};
 pub use export::Factors;
@@ -28,6 +27,7 @@ pub use gathered::{EmitterIrradiance, EmitterRows, EmitterWork};
 pub use hemicube::{DeltaFactors, HemicubeErrors, HemicubeSettings, MOST_PIXELS, hemicube, item_image};
 pub use matrix::{ExchangeMatrix, RowSummary};
 pub use mirror::cast_images;
+pub use projection::ProjectionMap;
 pub use raycast::{Caster, Casting, cast, cast_random, cast_rows};
 pub use recast::{Check, Recast, Rows};
 pub use rows::Row;

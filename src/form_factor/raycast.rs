@@ -472,8 +472,10 @@ impl<'a, 's> Caster<'a, 's> {
         let Some((radiance, density)) = emitters.at(link.hit.face, link.hit.front) else { return };
         let rays = f64::from(self.rays_per_row());
         let share = if link.passage == Passage::Chain {
-            let aimed = work.aim.zip(emitters.side(link.hit.face, link.hit.front));
-            let aimed = aimed.map_or(1.0, |(aim, (side, normal))| aim.density(side, normal, -link.direction));
+            let aimed = work.projection.zip(emitters.side(link.hit.face, link.hit.front));
+            let aimed = aimed.map_or(1.0, |(projection, (side, normal))| {
+                projection.density(side, normal, -link.direction)
+            });
             1.0 - work.particle_share((density, aimed), self.rays_per_row(), source.area)
         } else {
             let normal = self.visibility.scene().faces[link.hit.face as usize].normal;

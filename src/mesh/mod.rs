@@ -133,7 +133,18 @@ impl Mesh {
         Mesh::of_grids(scene, sides, (element_size, false), grids, with_black)
     }
 
-    /// The same with cells of different sizes.
+    /// How many elements [`Mesh::new`] would make of the sides that reflect, transmit or emit, without making them.
+    pub fn uniform_len(scene: &Scene, sides: &Sides, element_size: f64) -> u64 {
+        let lattices = lattices(scene, element_size);
+        let elements = |(k, (face, lattice)): (usize, (&Face, &Lattice))| {
+            let used =
+                |front: &bool| sides.contains(k as u32, *front) && takes_part(scene, face, *front, false);
+            lattice.len() * [true, false].iter().filter(|front| used(front)).count() as u64
+        };
+        scene.faces.iter().zip(&lattices).enumerate().map(elements).sum()
+    }
+
+    /// [`Mesh::new`] with cells of different sizes.
     pub fn divided(scene: &Scene, sides: &Sides, division: &Division, with_black: bool) -> Result<Mesh> {
         let grids = division.grids(scene)?;
         Mesh::of_grids(scene, sides, (division.finest(), true), grids, with_black)

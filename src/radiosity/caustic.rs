@@ -3,7 +3,7 @@
 //! A hemisphere ray of an element rarely finds a small emitter behind a mirror, a glass ball or a
 //! glossy floor; a particle that starts at the emitter finds the element easily. Both sample the same paths:
 //! by reciprocity a path has the density `1 / (pi A_i)` per area and projected solid angle for a ray of element
-//! i, and `p / pi` for a particle that starts with area density p (more or less where particles are aimed, [`crate::form_factor::Aim`]). Both are constant along
+//! i, and `p / pi` for a particle that starts with area density p (more or less where particles are aimed, [`crate::form_factor::ProjectionMap`]). Both are constant along
 //! the path (its throughput is the same from both ends), so they share the work by the power heuristic.
 //! Paths over one flat mirror are left out: these have their own samples ([`crate::emitters`]).
 
@@ -154,8 +154,8 @@ impl Tracer<'_, '_> {
             let p = sobol(k, 0, seed);
             let choose = sobol(k, 0, seed_of(&[seed, 1]))[0];
             let Some(s) = self.emitters.sample([choose, p[0], p[1]]) else { break };
-            let (direction, aimed) = match self.work.aim {
-                Some(aim) => aim.sample(&s, [p[2], p[3]]),
+            let (direction, aimed) = match self.work.projection {
+                Some(projection) => projection.sample(&s, [p[2], p[3]]),
                 None => (Frame::new(s.normal).to_scene(cosine_hemisphere(p[2], p[3])), 1.0),
             };
             let direction = direction.as_vec3();

@@ -114,16 +114,14 @@ pub struct Traced {
     pub dropped: f64,
 }
 
-impl Traced {
-    /// What a user should know, if anything: more than one part in 10,000 is missing.
-    pub fn warning(&self) -> Option<String> {
-        (self.dropped > 1e-4).then(|| {
-            format!(
-                "view rays were cut off at their 512th mirror or glass surface: {:.2} % of their weight is missing from the picture",
-                100.0 * self.dropped
-            )
-        })
-    }
+/// What a user should know of branches that were cut off ([`Traced::dropped`]): that more than one part in 10,000 is missing.
+pub fn cut_off(dropped: f64) -> Option<String> {
+    (dropped > 1e-4).then(|| {
+        format!(
+            "view rays were cut off at their 512th mirror or glass surface: {:.2} % of their weight is missing from the picture",
+            100.0 * dropped
+        )
+    })
 }
 
 impl std::ops::Add for Traced {

@@ -1,7 +1,8 @@
 //! Where particles from the emitters are worth sending.
 //!
 //! Most light of a lamp goes straight to diffuse surfaces and is not for particles: only what comes over specular
-//! chains is. A few particles over a grid of directions tell where these begin, and the others are sent there more often, and weigh less.
+//! chains is. A few particles over a grid of directions tell where these begin, and the others are sent there more often, and
+//! weigh less: a projection map (Jensen 1996, "Global illumination using photon maps", section 3), found by tracing.
 
 use super::specular::{Carried, Chains};
 use crate::color;
@@ -22,9 +23,9 @@ const MOST_GRIDS: usize = 32;
 /// What a cell beside one that brings light is worth of it: their border is not where specular things end.
 const BESIDE: f64 = 0.5;
 
-/// Directions of particles from the emitters.
+/// Density of particles over the directions in which emitters send them.
 #[derive(Debug, Clone)]
-pub struct Aim {
+pub struct ProjectionMap {
     grids: Vec<Grid>,
     /// Share of particles that bring light over a specular chain, sent in proportion to the emitted light.
     pub useful: f64,
@@ -53,7 +54,7 @@ struct Cell {
     arrived: f64,
 }
 
-impl Aim {
+impl ProjectionMap {
     /// Looks with about `particles` particles where light over specular chains comes to the elements of a mesh. Returns
     /// none where none of them brought any: then hemisphere rays may have all of it.
     pub fn new(
@@ -62,7 +63,7 @@ impl Aim {
         emitters: &Emitters,
         particles: u32,
         seed: u32,
-    ) -> Option<Aim> {
+    ) -> Option<ProjectionMap> {
         let grids = if emitters.len() > MOST_GRIDS { 1 } else { emitters.len() };
         let each = (particles as usize / (grids * EDGE * EDGE)).max(1) as u32;
         let looked: Vec<(Vec<Cell>, u64)> = (0..grids * EDGE)
@@ -74,20 +75,24 @@ impl Aim {
                 look.row(row % EDGE, each)
             })
             .collect();
-        let mut aim =
-            Aim { grids: Vec::new(), useful: 0.0, aimed: 0.0, rays: looked.iter().map(|l| l.1).sum() };
+        let mut map = ProjectionMap {
+            grids: Vec::new(),
+            useful: 0.0,
+            aimed: 0.0,
+            rays: looked.iter().map(|l| l.1).sum(),
+        };
         for (k, rows) in looked.chunks(EDGE).enumerate() {
             let cells: Vec<Cell> = rows.iter().flat_map(|r| r.0.iter().copied()).collect();
             let grid = Grid::new(&cells);
             let chance = if grids == 1 { 1.0 } else { emitters.chance(k) };
             for (cell, density) in cells.iter().zip(&grid.density) {
                 let share = chance * cell.arrived / (EDGE * EDGE) as f64;
-                aim.useful += share;
-                aim.aimed += share * density;
+                map.useful += share;
+                map.aimed += share * density;
             }
-            aim.grids.push(grid);
+            map.grids.push(grid);
         }
-        (aim.useful > 0.0).then_some(aim)
+        (map.useful > 0.0).then_some(map)
     }
 
     fn grid(&self, side: usize) -> &Grid {
@@ -244,15 +249,15 @@ mod tests {
     fn density_of_a_direction_is_that_it_was_drawn_with() {
         let mut cells = vec![Cell::default(); EDGE * EDGE];
         (0..cells.len()).step_by(7).for_each(|k| cells[k].strength = (k % 5) as f64);
-        let aim = Aim { grids: vec![Grid::new(&cells)], useful: 1.0, aimed: 1.0, rays: 0 };
+        let map = ProjectionMap { grids: vec![Grid::new(&cells)], useful: 1.0, aimed: 1.0, rays: 0 };
         let normal = DVec3::new(0.36, 0.48, -0.8);
         for k in 0..1000 {
             let u = sobol(k, 0, 3);
-            let (p, density) = aim.grids[0].sample([u[0], u[1]]);
+            let (p, density) = map.grids[0].sample([u[0], u[1]]);
             // Rounding moves what lies on the border between cells.
             let inside = p.iter().all(|x| ((x * EDGE as f64).fract() - 0.5).abs() < 0.5 - 1e-9);
             let direction = Frame::new(normal).to_scene(cosine_hemisphere(p[0], p[1]));
-            assert!(!inside || aim.density(0, normal, direction) == density, "{p:?}");
+            assert!(!inside || map.density(0, normal, direction) == density, "{p:?}");
         }
     }
 }
