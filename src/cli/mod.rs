@@ -42,12 +42,27 @@ pub fn run() -> ExitCode {
 }
 
 /// Runs a command on the number of threads asked for.
+///
+/// The threads have ended when this returns, their destructors included, which neither rayon nor a scope of threads waits for:
+/// one that ended while the process exits could run those of OpenImageIO's dependencies after their library's own, and
+/// crash (log4cplus 2.0 does).
 fn with_threads(common: &Common, work: impl FnOnce() -> Result<()> + Send) -> Result<()> {
+    let mut threads = Vec::new();
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(common.threads.unwrap_or(0))
+        .spawn_handler(|thread| {
+            threads.push(std::thread::Builder::new().spawn(|| thread.run())?);
+            Ok(())
+        })
         .build()
         .map_err(|e| Error::Usage(format!("--threads: {e}")))?;
-    pool.install(work)
+    let result = pool.install(work);
+    drop(pool);
+    for thread in threads {
+        // A panic in it has reached `install`.
+        let _ = thread.join();
+    }
+    result
 }
 
 /// A line on standard error; nobody may be there to read it.
