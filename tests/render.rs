@@ -21,18 +21,31 @@ const GATHER: Method = Method::TwoPass(Quality::Gather);
 
 /// Both passes with one seed.
 fn picture(scene: &Scene, camera: &str, pass1: (u32, f64), settings: &Settings) -> Image {
+    let [image] = pictures_of_one_solution(scene, camera, pass1, &[*settings]).try_into().expect("one");
+    image
+}
+
+/// Pictures by several settings of pass 2, of one seed, from one solution of pass 1 where any needs it.
+fn pictures_of_one_solution(
+    scene: &Scene,
+    camera: &str,
+    pass1: (u32, f64),
+    settings: &[Settings],
+) -> Vec<Image> {
     let device = device();
     let visibility = Visibility::new(&device, scene).expect("tree");
     let emitters = Emitters::new(&visibility);
     let camera = scene.camera(Some(camera)).expect("camera");
-    let solution = matches!(settings.method, Method::TwoPass(_) | Method::Radiosity).then(|| {
-        let pass1 = Pass1 { rays: pass1.0, element_size: Some(pass1.1), seed: settings.seed };
+    let reads = |s: &Settings| matches!(s.method, Method::TwoPass(_) | Method::Radiosity);
+    let solution = settings.iter().find(|s| reads(s)).map(|s| {
+        let pass1 = Pass1 { rays: pass1.0, element_size: Some(pass1.1), seed: s.seed };
         let cameras = &scene.cameras;
         pipeline::solve(&visibility, &emitters, cameras, &pass1, &|_| {}, &mut Vec::new())
             .expect("solution")
             .solution
     });
-    render(&visibility, &emitters, solution.as_ref(), camera, settings, &|_| {}).0
+    let picture = |s: &Settings| render(&visibility, &emitters, solution.as_ref(), camera, s, &|_| {}).0;
+    settings.iter().map(picture).collect()
 }
 
 fn settings(method: Method, spp: u32) -> Settings {
@@ -40,7 +53,24 @@ fn settings(method: Method, spp: u32) -> Settings {
 }
 
 fn pictures(scene: &Scene, camera: &str, pass1: (u32, f64), settings: &Settings) -> Vec<Image> {
-    (0..SEEDS).map(|seed| picture(scene, camera, pass1, &Settings { seed, ..*settings })).collect()
+    let [images] = pictures_by_all(scene, camera, pass1, [*settings]);
+    images
+}
+
+/// [`pictures`] by several settings, which share the solution of each seed.
+fn pictures_by_all<const N: usize>(
+    scene: &Scene,
+    camera: &str,
+    pass1: (u32, f64),
+    settings: [Settings; N],
+) -> [Vec<Image>; N] {
+    let mut all = [const { Vec::new() }; N];
+    for seed in 0..SEEDS {
+        let settings = settings.map(|s| Settings { seed, ..s });
+        let images = pictures_of_one_solution(scene, camera, pass1, &settings);
+        all.iter_mut().zip(images).for_each(|(all, image)| all.push(image));
+    }
+    all
 }
 
 /// Mean of all pixels and channels.
@@ -177,11 +207,9 @@ fn frustum_agrees_with_lobe_sampling() {
     let mirrors = [0.2, 0.7].map(|r| (format!("floor {r} beside a mirror"), glossy_room(r, 16, true)));
     let glass = [0.2, 0.7].map(|r| (format!("glass {r}"), room_behind_rough_glass(r, 8)));
     for (name, scene) in rooms.into_iter().chain(mirrors).chain(glass) {
-        let run = |estimator| {
-            let s = Settings { estimator, ..settings(MESH, 4) };
-            pictures(&scene, "c", (512, 0.25), &s)
-        };
-        let (f, l) = (run(Estimator::Frustum(10)), run(Estimator::Lobe(32)));
+        let by = |estimator| Settings { estimator, ..settings(MESH, 4) };
+        let both = [by(Estimator::Frustum(10)), by(Estimator::Lobe(32))];
+        let [f, l] = pictures_by_all(&scene, "c", (512, 0.25), both);
         // Both use the same solution for a seed: differences by seed cancel its noise.
         let differences: Vec<f64> = f.iter().zip(&l).map(|(f, l)| mean(f) / mean(l) - 1.0).collect();
         let (d, e) = mean_error(&differences);
@@ -499,9 +527,10 @@ fn what_cut_branches_drop_is_counted() {
 fn two_pass_equals_path() {
     for roughness in [0.0, 0.5] {
         let scene = glossy_room(roughness, 16, false);
-        let path = pictures(&scene, "c", (0, 0.0), &settings(Method::Path, 256));
-        for (method, spp, relative) in [(GATHER, 4, 0.005), (DIRECT, 8, 0.01)] {
-            let images = pictures(&scene, "c", (1024, 0.05), &settings(method, spp));
+        let path = pictures(&scene, "c", (0, 0.0), &settings(Method::Path, 128));
+        let two_pass = [settings(GATHER, 4), settings(DIRECT, 8)];
+        let images = pictures_by_all(&scene, "c", (512, 0.05), two_pass);
+        for ((method, relative), images) in [(GATHER, 0.005), (DIRECT, 0.01)].into_iter().zip(images) {
             let ((a, ea), (b, eb)) = (mean_error(&means(&images)), mean_error(&means(&path)));
             let (off, error) = (a / b - 1.0, ea.hypot(eb) / b);
             eprintln!("roughness {roughness} {method:?}: {:+.3} % +- {:.3} %", 100.0 * off, 100.0 * error);

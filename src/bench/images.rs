@@ -158,7 +158,7 @@ fn elements(stage: &View, subject: &mut Subject) -> Result<()> {
     let defaults = pass1(stage.context, stage.visibility.scene());
     let Some(size) = defaults.element_size else { return Ok(()) };
     let factors: &[f64] = stage.context.choose(&[2.0, 1.0, 0.5], &[4.0, 2.0, 1.0, 0.5]);
-    for round in 0..stage.context.choose(1, 3) {
+    for round in 0..stage.context.choose(1, 2) {
         let seed = stage.context.settings.seed.wrapping_add(round);
         (stage.context.observer)(&format!("images: {}, elements, seed {seed}", subject.name));
         for factor in factors {
