@@ -52,6 +52,7 @@ pub mod hard_cases;
 pub mod image;
 pub mod memory;
 pub mod mesh;
+pub mod npz;
 pub mod output;
 pub mod pipeline;
 pub mod radiosity;

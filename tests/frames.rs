@@ -153,7 +153,7 @@ fn solutions_that_are_of_no_use() {
     let render = ["render", "scene.toml", "-o", "a.exr", "--quality", "mesh", "--spp", "1"];
     let fails = |name: &str, parts: &[&str]| files.fails(&[&render, &["--solution", name]], 1, parts);
     fails("gone.npz", &["gone.npz", "No such file"]);
-    fails("room.obj", &["room.obj", "no solution file", "twopass solve scene.toml -o room.obj"]);
+    fails("room.obj", &["room.obj", "no solution file", "twopass solve scene.toml -o NAME.npz"]);
     files.done(&[&["form-factors", "room.obj", "--by-object", "-o", "f.npz", "--quiet"], &QUICK]);
     fails("f.npz", &["f.npz", "no solution", "twopass solve"]);
 

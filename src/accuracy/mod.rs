@@ -23,8 +23,6 @@ use pilot::{Pilot, Square};
 use serde::Serialize;
 
 /// Qualities by their index here.
-const QUALITIES: [Quality; 3] = [Quality::Mesh, Quality::Direct, Quality::Gather];
-const NAMES: [&str; 3] = ["mesh", "direct", "gather"];
 /// Share of the error asked for that is aimed at.
 const AIM: f64 = 0.7;
 /// Share of it at which the estimate counts as met: what is left covers the estimate's own error.
@@ -186,7 +184,7 @@ fn prepare<'a, 's>(
 /// The cheapest plan that should meet a squared error, of those whose discretisation is known to a share `unsure` of it.
 fn cheapest(pilot: &Pilot, camera: &Camera, aim: f64, unsure: f64) -> Option<Plan> {
     let mut best: Option<Plan> = None;
-    for quality in 0..QUALITIES.len() {
+    for quality in 0..Quality::ALL.len() {
         for level in 0..pilot.levels.len() {
             let bias = pilot.bias(quality, level);
             if bias.safe() > SYSTEMATIC * aim || bias.error > unsure * aim {
@@ -203,7 +201,7 @@ fn cheapest(pilot: &Pilot, camera: &Camera, aim: f64, unsure: f64) -> Option<Pla
 
 /// Where nothing meets the aim: the plan with the smallest systematic error.
 fn least_wrong(pilot: &Pilot, camera: &Camera, aim: f64) -> Plan {
-    let all = (0..QUALITIES.len()).flat_map(|q| (0..pilot.levels.len()).map(move |l| (q, l)));
+    let all = (0..Quality::ALL.len()).flat_map(|q| (0..pilot.levels.len()).map(move |l| (q, l)));
     let rated = all.map(|(q, l)| (q, l, pilot.bias(q, l)));
     let best = rated.min_by(|a, b| a.2.safe().total_cmp(&b.2.safe())).unwrap_or_default();
     fill(pilot, camera, best, (1.0 - SYSTEMATIC) * aim)
@@ -294,7 +292,7 @@ fn finish(
             let mut own = Vec::new();
             let result =
                 solve_within(limit, view.visibility, view.emitters, points, &settings, observer, &mut own)?;
-            let method = Method::TwoPass(QUALITIES[plan.quality]);
+            let method = Method::TwoPass(Quality::ALL[plan.quality]);
             let picture = Settings { method, spp, seed, ..view.settings };
             let pixels = u64::from(width) * u64::from(height);
             let (image, traced) = stage("trace", pixels, observer, &mut own, || {
@@ -337,7 +335,7 @@ fn finish(
                 noise: noise.sqrt(),
                 discretisation: bias.sqrt(),
                 discretisation_squared_error: plan.bias.error,
-                quality: NAMES[plan.quality],
+                quality: Quality::ALL[plan.quality].name(),
                 element_size: level.element_size,
                 elements: level.elements,
                 solves: 2 * pair,

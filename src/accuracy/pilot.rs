@@ -7,7 +7,7 @@
 //! to as elements become finer: its values on the two finest levels, extrapolated. Every difference is taken
 //! between pictures with the same view rays, which cancels most of the noise beforehand.
 
-use super::{QUALITIES, View};
+use super::View;
 use crate::color::Rgb;
 use crate::image::Image;
 use crate::mesh::default_element_size;
@@ -130,7 +130,7 @@ impl<'a, 's> Pilot<'a, 's> {
         if self.levels.is_empty() {
             self.measure_noise(&runs[0]);
         }
-        let sampled = QUALITIES.map(|quality| {
+        let sampled = Quality::ALL.map(|quality| {
             let one = |solution, run, pixels| self.render(quality, (solution, pixels), self.spp, run);
             let (first, cast) = one(&runs[0], 0, &self.pixels);
             let (second, more) = one(&runs[1], 1, &self.pixels);
@@ -162,7 +162,7 @@ impl<'a, 's> Pilot<'a, 's> {
     }
 
     fn measure_noise(&mut self, solution: &Solution) {
-        for (q, quality) in QUALITIES.into_iter().enumerate() {
+        for (q, quality) in Quality::ALL.into_iter().enumerate() {
             for (k, spp) in LADDER.into_iter().enumerate() {
                 let pixels = if k + 1 < LADDER.len() { &self.pixels } else { &self.few };
                 let (a, cast) = self.render(quality, (solution, pixels), spp, 2);

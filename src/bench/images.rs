@@ -14,9 +14,6 @@ use crate::radiosity::Solution;
 use crate::render::{Estimator, Method, Quality, Settings};
 use crate::visibility::Visibility;
 
-const QUALITIES: [(&str, Quality); 3] =
-    [("mesh", Quality::Mesh), ("direct", Quality::Direct), ("gather", Quality::Gather)];
-
 pub fn run(context: &Context) -> Result<Measurements> {
     let mut found = Measurements::default();
     for name in ["cornell", "gallery"] {
@@ -128,7 +125,7 @@ fn methods(stage: &View, subject: &mut Subject) -> Result<Vec<Kept>> {
     // Warm-up: both passes once, small.
     let (solution, _) = stage.solve(&Pass1 { rays: 64, ..first })?;
     stage.frame(&settings(Method::TwoPass(Quality::Gather), 1, 0), Some(&solution));
-    for round in 0..context.choose(2, 3) {
+    for round in 0..2 {
         let seed = context.settings.seed.wrapping_add(round);
         (context.observer)(&format!("images: {}, seed {seed}", subject.name));
         let (solution, before) = stage.solve(&Pass1 { seed, ..first })?;
@@ -141,9 +138,9 @@ fn methods(stage: &View, subject: &mut Subject) -> Result<Vec<Kept>> {
                 }
                 Ok(())
             };
-        for (name, quality) in QUALITIES {
+        for quality in Quality::ALL {
             for &spp in two_pass {
-                one(name, Method::TwoPass(quality), spp, Some(&solution), before)?;
+                one(quality.name(), Method::TwoPass(quality), spp, Some(&solution), before)?;
             }
         }
         for &spp in path {
@@ -158,16 +155,14 @@ fn elements(stage: &View, subject: &mut Subject) -> Result<()> {
     let defaults = pass1(stage.context, stage.visibility.scene());
     let Some(size) = defaults.element_size else { return Ok(()) };
     let factors: &[f64] = stage.context.choose(&[2.0, 1.0, 0.5], &[4.0, 2.0, 1.0, 0.5]);
-    for round in 0..stage.context.choose(1, 2) {
-        let seed = stage.context.settings.seed.wrapping_add(round);
-        (stage.context.observer)(&format!("images: {}, elements, seed {seed}", subject.name));
-        for factor in factors {
-            let settings_of = Pass1 { element_size: Some(size * factor), seed, ..defaults };
-            let (solution, seconds) = stage.solve(&settings_of)?;
-            let frame = stage.frame(&settings(Method::TwoPass(Quality::Mesh), 16, seed), Some(&solution));
-            let at = ("mesh, finer elements", "elements", solution.mesh.len() as f64);
-            stage.record(subject, at, &frame, seconds, &stage.reference.mask)?;
-        }
+    let seed = stage.context.settings.seed;
+    (stage.context.observer)(&format!("images: {}, elements", subject.name));
+    for factor in factors {
+        let settings_of = Pass1 { element_size: Some(size * factor), seed, ..defaults };
+        let (solution, seconds) = stage.solve(&settings_of)?;
+        let frame = stage.frame(&settings(Method::TwoPass(Quality::Mesh), 16, seed), Some(&solution));
+        let at = ("mesh, finer elements", "elements", solution.mesh.len() as f64);
+        stage.record(subject, at, &frame, seconds, &stage.reference.mask)?;
     }
     Ok(())
 }

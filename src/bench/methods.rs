@@ -279,7 +279,7 @@ fn sharpness(context: &Context, figures: &mut Vec<Figure>) -> Result<Subject> {
             let mask: Vec<bool> = specular.iter().zip(&view.reference.mask).map(|(a, b)| *a && *b).collect();
             let name = format!("directional, roughness {roughness}");
             let mut images = vec![Vec::new(); directions.len()];
-            for round in 0..context.choose(2, 4) {
+            for round in 0..context.choose(2, 3) {
                 let seed = context.settings.seed.wrapping_add(round);
                 (context.observer)(&format!("methods: roughness {roughness}, seed {seed}"));
                 let pass1 = Pass1 { rays: context.choose(256, 1024), element_size, seed };

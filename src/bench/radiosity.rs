@@ -326,7 +326,7 @@ fn order(context: &Context) -> Result<Subject> {
     let floor = floor as u32;
     let rays = context.choose(4096, 65536);
     for n in context.choose(vec![2u32, 4, 8, 16], vec![2, 4, 8, 16, 32]) {
-        rounds(context.settings.seed, context.choose(2, 3), |seed, counts| {
+        rounds(context.settings.seed, 2, |seed, counts| {
             (context.observer)(&format!("radiosity: order, {n} x {n} elements, seed {seed}"));
             // A hair more than the edge: exactly n cells.
             let (s, seconds) = solve(context, &scene, rays, 1.0000001 / f64::from(n), seed)?;

@@ -22,22 +22,7 @@ use std::path::PathBuf;
 
 pub fn run(args: &RenderArgs) -> Result<()> {
     let patterns = outputs(args)?;
-    if !args.exposure.is_finite() {
-        return Err(Error::Usage("--exposure must be a finite number".into()));
-    }
-    if args.solution.is_some() && !matches!(args.method, MethodArg::TwoPass | MethodArg::Radiosity) {
-        return Err(Error::Usage(
-            "--solution is for --method two-pass and radiosity: others have no pass 1".into(),
-        ));
-    }
-    if args.error.is_some() && args.method != MethodArg::TwoPass {
-        return Err(Error::Usage("--error is for --method two-pass".into()));
-    }
-    if args.adaptive.adaptive == Some(true)
-        && !matches!(args.method, MethodArg::TwoPass | MethodArg::Radiosity)
-    {
-        return Err(Error::Usage("--adaptive is for --method two-pass and radiosity".into()));
-    }
+    check_options(args)?;
     let progress = Progress::new(args.common.quiet);
     let observer = &|e| progress.tell(e);
     let mut stages: Vec<Stage> = Vec::new();
@@ -191,6 +176,27 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     }
     if let Some(path) = &args.report {
         report.write(path)?;
+    }
+    Ok(())
+}
+
+/// Refuses options that do not go together, before any work.
+fn check_options(args: &RenderArgs) -> Result<()> {
+    if !args.exposure.is_finite() {
+        return Err(Error::Usage("--exposure must be a finite number".into()));
+    }
+    if args.solution.is_some() && !matches!(args.method, MethodArg::TwoPass | MethodArg::Radiosity) {
+        return Err(Error::Usage(
+            "--solution is for --method two-pass and radiosity: others have no pass 1".into(),
+        ));
+    }
+    if args.error.is_some() && args.method != MethodArg::TwoPass {
+        return Err(Error::Usage("--error is for --method two-pass".into()));
+    }
+    if args.adaptive.adaptive == Some(true)
+        && !matches!(args.method, MethodArg::TwoPass | MethodArg::Radiosity)
+    {
+        return Err(Error::Usage("--adaptive is for --method two-pass and radiosity".into()));
     }
     Ok(())
 }

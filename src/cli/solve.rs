@@ -25,7 +25,8 @@ pub fn run(args: &SolveArgs) -> Result<()> {
     let scene = pipeline::stage("load", 0, observer, &mut stages, || (load(&args.scene), 0))?;
     scene.warnings.iter().for_each(|w| progress.warn(w));
     let settings = pass1(&args.pass1, &scene, args.common.seed);
-    let reads = reads(&args.adaptive, &scene, Method::TwoPass(quality(args.quality, &scene)));
+    let quality = quality(args.quality, &scene);
+    let reads = reads(&args.adaptive, &scene, Method::TwoPass(quality));
     if args.quality.is_some() && reads.is_none() {
         return Err(Error::Usage(
             "--quality is what --adaptive refines for: a solution of uniform elements suits every quality"
@@ -51,6 +52,7 @@ pub fn run(args: &SolveArgs) -> Result<()> {
         ("versions".into(), serde_json::json!(versions)),
         ("pass1".into(), serde_json::json!(pass1)),
         ("adaptive".into(), serde_json::json!(reads.is_some())),
+        ("quality".into(), serde_json::json!(quality.name())),
     ];
     pipeline::stage("write", 0, observer, &mut stages, || {
         let bytes = result.solution.to_npz(&scene, about.into_iter().collect());

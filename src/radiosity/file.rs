@@ -8,17 +8,14 @@ use super::solve::Convergence;
 use super::{CausticMap, Ledger, ObjectRadiosity, Solution};
 use crate::color::Rgb;
 use crate::mesh::{Division, Mesh, Nodes, Sides};
+use crate::npz::{Reader, Writer};
 use crate::scene::Scene;
 use crate::{Error, Result};
 use glam::DVec3;
-use npyz::npz::{NpzArchive, NpzWriter};
-use npyz::{Deserialize, NpyFile, WriterBuilder};
+use npyz::{Deserialize, NpyFile};
 use serde_json::{Map, Value, json};
-use std::io::{Cursor, Read, Seek, Write};
+use std::io::{Cursor, Seek, Write};
 use std::path::Path;
-use zip::CompressionMethod;
-use zip::result::ZipError;
-use zip::write::FileOptions;
 
 /// Number of the layout, and of the rules by which elements and nodes are numbered: changes with either.
 const FORMAT: u32 = 2;
@@ -35,8 +32,7 @@ impl Solution {
     /// The arrays of DESIGN section 6, one row an element, and what [`Solution::read_npz`] needs beside them; `about` joins
     /// the JSON of `meta`.
     pub fn to_npz(&self, scene: &Scene, about: Map<String, Value>) -> Result<Vec<u8>> {
-        let mut bytes = Cursor::new(Vec::new());
-        let mut npz = NpzWriter::new(&mut bytes);
+        let mut npz = Writer::new(Cursor::new(Vec::new()));
         let n = self.mesh.len() as u32;
         let faces = || (0..n).map(|e| &scene.faces[self.mesh.place(e).0 as usize]);
         let centroid: Vec<DVec3> =
@@ -54,7 +50,7 @@ impl Solution {
         });
         meta.extend(own.as_object().cloned().unwrap_or_default());
         let meta = Value::from(meta).to_string();
-        let mut write = || -> std::io::Result<()> {
+        let write = || -> std::io::Result<Vec<u8>> {
             for (name, values) in [
                 ("radiosity", &self.radiosity[..]),
                 ("irradiance", &self.irradiance),
@@ -69,18 +65,18 @@ impl Solution {
             ] {
                 triples(&mut npz, name, values)?;
             }
-            array(&mut npz, "area", &[u64::from(n)], (0..n).map(|e| self.mesh.area(e)))?;
+            npz.array("area", &[u64::from(n)], (0..n).map(|e| self.mesh.area(e)))?;
             if self.mesh.is_adaptive() {
-                array(&mut npz, "level", &[u64::from(n)], (0..n).map(|e| self.mesh.level(e)))?;
+                npz.array("level", &[u64::from(n)], (0..n).map(|e| self.mesh.level(e)))?;
             }
-            array(&mut npz, "object", &[u64::from(n)], faces().map(|f| f.object as i32))?;
+            npz.array("object", &[u64::from(n)], faces().map(|f| f.object as i32))?;
             let sides = self.objects.len() as u64;
-            array(&mut npz, "side_area", &[sides], self.objects.iter().map(|o| o.area))?;
-            array(&mut npz, "side_object", &[sides], self.objects.iter().map(|o| o.object as i32))?;
-            array(&mut npz, "side_front", &[sides], self.objects.iter().map(|o| o.front))?;
-            array(&mut npz, "convergence", &[4], self.convergence.numbers().into_iter())?;
+            npz.array("side_area", &[sides], self.objects.iter().map(|o| o.area))?;
+            npz.array("side_object", &[sides], self.objects.iter().map(|o| o.object as i32))?;
+            npz.array("side_front", &[sides], self.objects.iter().map(|o| o.front))?;
+            npz.array("convergence", &[4], self.convergence.numbers().into_iter())?;
             let has_elements = self.mesh.sides().0;
-            array(&mut npz, "sides", &[has_elements.len() as u64], has_elements.into_iter())?;
+            npz.array("sides", &[has_elements.len() as u64], has_elements.into_iter())?;
             for (name, field) in [
                 ("node_reflected", Some(&self.reflected)),
                 ("node_indirect", Some(&self.indirect)),
@@ -89,13 +85,12 @@ impl Solution {
             ] {
                 let Some(field) = field else { continue };
                 let shape = [field.nodes().len() as u64, 3];
-                array(&mut npz, name, &shape, field.nodes().iter().flatten().copied())?;
+                npz.array(name, &shape, field.nodes().iter().flatten().copied())?;
             }
-            array(&mut npz, "meta", &[meta.len() as u64], meta.bytes())
+            npz.array("meta", &[meta.len() as u64], meta.bytes())?;
+            Ok(npz.finish()?.into_inner())
         };
-        write().map_err(|e| Error::io("solution", e))?;
-        drop(npz);
-        Ok(bytes.into_inner())
+        write().map_err(|e| Error::io("solution", e))
     }
 
     /// The solution of `scene` in the file at `path`, as [`Solution::to_npz`] wrote it.
@@ -115,7 +110,7 @@ fn hash_text(scene: &Scene) -> String {
 
 /// A solution file while it is read.
 struct Arrays<'a> {
-    npz: NpzArchive<Cursor<&'a [u8]>>,
+    npz: Reader<Cursor<&'a [u8]>>,
     path: &'a Path,
     /// What to do about a file that is of no use.
     remedy: String,
@@ -125,15 +120,18 @@ struct Arrays<'a> {
 impl<'a> Arrays<'a> {
     /// Reads what the file says about itself and refuses one of another scene.
     fn open(scene: &Scene, path: &'a Path, bytes: &'a [u8]) -> Result<Arrays<'a>> {
-        let remedy = format!("twopass solve {} -o {}", scene.path.display(), path.display());
-        let npz = NpzArchive::new(Cursor::new(bytes)).map_err(|e| {
-            let message = format!("is no solution file, or a damaged one ({e}); write one with: {remedy}");
+        let solve = |to: &Path| format!("twopass solve {} -o {}", scene.path.display(), to.display());
+        // Not over a file that may be something else.
+        let other = solve(Path::new("NAME.npz"));
+        let npz = Reader::new(Cursor::new(bytes)).map_err(|e| {
+            let message = format!("is no solution file, or a damaged one ({e}); write one with: {other}");
             Error::parse(path, None, message)
         })?;
-        let mut arrays = Arrays { npz, path, remedy, meta: Map::new() };
+        let mut arrays = Arrays { npz, path, remedy: other, meta: Map::new() };
         let Some(meta) = arrays.bytes("meta")? else {
             return Err(arrays.refuse("is an .npz file, but no solution"));
         };
+        arrays.remedy = solve(path);
         let text: Vec<u8> = arrays.values("meta", &meta, None)?;
         let parsed: Option<Value> = serde_json::from_slice(&text).ok();
         let Some(Value::Object(meta)) = parsed else { return Err(arrays.damaged("meta is no JSON")) };
@@ -172,6 +170,9 @@ impl<'a> Arrays<'a> {
         }
         if meta.get("adaptive") == Some(&json!(true)) {
             again += " --adaptive";
+            if let Some(quality) = meta.get("quality").and_then(Value::as_str) {
+                again += &format!(" --quality {quality}");
+            }
         }
         let message = format!(
             "is stale: geometry, materials, emitters or environment of {} are not those that it was solved for; solve again: {again}",
@@ -180,18 +181,9 @@ impl<'a> Arrays<'a> {
         Error::parse(self.path, None, message)
     }
 
-    /// The bytes of an array's entry, checked against their checksum; none where there is no such array.
+    /// The bytes of an array's entry; none where there is no such array.
     fn bytes(&mut self, name: &str) -> Result<Option<Vec<u8>>> {
-        let mut bytes = Vec::new();
-        let read = match self.npz.zip_archive().by_name(&format!("{name}.npy")) {
-            Err(ZipError::FileNotFound) => return Ok(None),
-            Err(e) => Err(e.to_string()),
-            Ok(mut entry) => entry.read_to_end(&mut bytes).map_err(|e| e.to_string()),
-        };
-        match read {
-            Ok(_) => Ok(Some(bytes)),
-            Err(e) => Err(self.damaged(format!("{name}: {e}"))),
-        }
+        self.npz.bytes(name).map_err(|e| self.damaged(format!("{name}: {e}")))
     }
 
     /// The values of an array, which has `shape` where one is given.
@@ -311,19 +303,6 @@ impl<'a> Arrays<'a> {
     }
 }
 
-fn triples<W: Write + Seek>(npz: &mut NpzWriter<W>, name: &str, values: &[Rgb]) -> std::io::Result<()> {
-    array(npz, name, &[values.len() as u64, 3], values.iter().flat_map(|v| v.to_array()))
-}
-
-fn array<W: Write + Seek, T: npyz::AutoSerialize>(
-    npz: &mut NpzWriter<W>,
-    name: &str,
-    shape: &[u64],
-    values: impl Iterator<Item = T>,
-) -> std::io::Result<()> {
-    // Not compressed: the last digits are noise, and a million elements would take as long as their solution.
-    let options = FileOptions::default().compression_method(CompressionMethod::Stored).large_file(true);
-    let mut writer = npz.array(name, options)?.default_dtype().shape(shape).begin_nd()?;
-    writer.extend(values)?;
-    writer.finish()
+fn triples(npz: &mut Writer<impl Write + Seek>, name: &str, values: &[Rgb]) -> std::io::Result<()> {
+    npz.array(name, &[values.len() as u64, 3], values.iter().flat_map(|v| v.to_array()))
 }

@@ -46,6 +46,20 @@ pub enum Quality {
     Gather,
 }
 
+impl Quality {
+    /// All, from the fastest to the finest.
+    pub const ALL: [Quality; 3] = [Quality::Mesh, Quality::Direct, Quality::Gather];
+
+    /// Its name on the command line and in scene files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Quality::Mesh => "mesh",
+            Quality::Direct => "direct",
+            Quality::Gather => "gather",
+        }
+    }
+}
+
 /// How glossy lobes are sampled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Estimator {

@@ -14,7 +14,7 @@
 use super::body::Body;
 use super::ring::{Cover, Planes, Ring, clip, cover};
 use crate::form_factor::analytic::{Cut, Polygon, lambert};
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use std::f64::consts::PI;
 
 /// Most cells of a pair before these are halved for accuracy.
@@ -160,36 +160,31 @@ impl Cells {
     fn value(&mut self, cell: &Polygon, target: &Target, bodies: &[&Body]) -> Value {
         let c = cell.corners();
         let (mut low, mut high) = (1.0f64, 0.0f64);
-        // Weights 1/3 each.
-        let mut rule = |cells: &mut Cells, heavy: f64| {
-            let (mut all, mut all_whole) = (0.0, 0.0);
-            for j in 1..c.len() - 1 {
-                let corners = [c[0], c[j], c[j + 1]];
-                let area = (corners[1] - c[0]).cross(corners[2] - c[0]).dot(cell.normal) / 6.0;
-                for k in 0..3 {
-                    let [p, q, r] = [corners[k], corners[(k + 1) % 3], corners[(k + 2) % 3]];
-                    let point = heavy * p + 0.5 * (1.0 - heavy) * (q + r);
-                    let (seen, whole) = cells.look(point, cell.normal, target, bodies);
-                    all += area * seen;
-                    all_whole += area * whole;
-                    if whole > 0.0 {
-                        low = low.min(seen / whole);
-                        high = high.max(seen / whole);
-                    }
-                }
+        let mut look = |point: DVec3| {
+            let (seen, whole) = self.look(point, cell.normal, target, bodies);
+            if whole > 0.0 {
+                low = low.min(seen / whole);
+                high = high.max(seen / whole);
             }
-            (all, all_whole, low, high)
+            DVec2::new(seen, whole)
         };
-        let (seen, whole, ..) = rule(self, 2.0 / 3.0);
-        let (seen_edges, whole_edges, low, high) = rule(self, 0.0);
+        let (mut inner, mut edges) = (DVec2::ZERO, DVec2::ZERO);
+        // Neighbours in the fan share an edge.
+        let mut along = look(0.5 * (c[0] + c[1]));
+        for j in 1..c.len() - 1 {
+            let corners = [c[0], c[j], c[j + 1]];
+            let third = (corners[1] - c[0]).cross(corners[2] - c[0]).dot(cell.normal) / 6.0;
+            let sum: DVec3 = corners.iter().sum();
+            inner += third * corners.iter().map(|p| look(0.5 * p + sum / 6.0)).sum::<DVec2>();
+            let next = look(0.5 * (c[0] + c[j + 1]));
+            edges += third * (along + next + look(0.5 * (c[j] + c[j + 1])));
+            along = next;
+        }
         let mixed = if low == 0.0 || high == 1.0 { (high - low).max(0.0) } else { 0.0 };
         // Of any third degree, the rule of the edges misses -9 times as much as the inner one.
-        Value {
-            seen: 0.9 * seen + 0.1 * seen_edges,
-            whole: 0.9 * whole + 0.1 * whole_edges,
-            off: (seen - seen_edges, whole - whole_edges),
-            mixed,
-        }
+        let both = 0.9 * inner + 0.1 * edges;
+        let off = inner - edges;
+        Value { seen: both.x, whole: both.y, off: (off.x, off.y), mixed }
     }
 
     /// Cuts polygon `a` where an edge of a body passes a corner of `b`.

@@ -1,0 +1,95 @@
+//! Arrays by name in one file, as `numpy.load` opens it: a ZIP archive of NumPy's `.npy` files.
+//!
+//! Not compressed: what is stored is noise in its last digits, and compressing takes longer than computing it.
+
+use npyz::{AutoSerialize, DType, WriterBuilder};
+use std::io::{BufWriter, Read, Result, Seek, Write};
+use zip::result::{ZipError, ZipResult};
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, ZipArchive, ZipWriter};
+
+/// Bytes that go into the file at a time: npyz writes each number by itself.
+const BUFFER: usize = 1 << 16;
+
+/// A file that is being written.
+pub struct Writer<W: Write + Seek>(ZipWriter<W>);
+
+impl<W: Write + Seek> Writer<W> {
+    /// Begins a file.
+    pub fn new(file: W) -> Writer<W> {
+        Writer(ZipWriter::new(file))
+    }
+
+    /// Adds an array, rows first; `values` are as many as `shape` says.
+    ///
+    /// # Errors
+    /// Those of the file; there are more values, or fewer.
+    pub fn array<T: AutoSerialize>(
+        &mut self,
+        name: &str,
+        shape: &[u64],
+        values: impl Iterator<Item = T>,
+    ) -> Result<()> {
+        let mut buffer = BufWriter::with_capacity(BUFFER, self.entry(name)?);
+        let options = npyz::WriteOptions::new().default_dtype().shape(shape);
+        let mut writer = options.writer(&mut buffer).begin_nd()?;
+        writer.extend(values)?;
+        writer.finish()?;
+        buffer.flush()
+    }
+
+    /// Adds a text without dimensions, as bytes.
+    ///
+    /// # Errors
+    /// Those of the file.
+    pub fn text(&mut self, name: &str, text: &str) -> Result<()> {
+        let kind = DType::Plain(format!("|S{}", text.len()).parse().map_err(std::io::Error::other)?);
+        let options = npyz::WriteOptions::new().dtype(kind).shape(&[]);
+        let mut writer = options.writer(self.entry(name)?).begin_nd()?;
+        writer.push(text.as_bytes())?;
+        writer.finish()
+    }
+
+    fn entry(&mut self, name: &str) -> Result<&mut ZipWriter<W>> {
+        // More than 4 GiB need to be announced before it is known how much there is.
+        let stored =
+            SimpleFileOptions::default().compression_method(CompressionMethod::Stored).large_file(true);
+        self.0.start_file(format!("{name}.npy"), stored)?;
+        Ok(&mut self.0)
+    }
+
+    /// Ends the file.
+    ///
+    /// # Errors
+    /// Those of the file.
+    pub fn finish(self) -> Result<W> {
+        Ok(self.0.finish()?)
+    }
+}
+
+/// A file that is being read.
+pub struct Reader<R: Read + Seek>(ZipArchive<R>);
+
+impl<R: Read + Seek> Reader<R> {
+    /// Opens a file.
+    ///
+    /// # Errors
+    /// It is no archive, or a damaged one.
+    pub fn new(file: R) -> ZipResult<Reader<R>> {
+        Ok(Reader(ZipArchive::new(file)?))
+    }
+
+    /// The bytes of an array's `.npy` file, checked against their checksum; none where there is no such array.
+    ///
+    /// # Errors
+    /// The entry is damaged, or compressed.
+    pub fn bytes(&mut self, name: &str) -> ZipResult<Option<Vec<u8>>> {
+        let mut entry = match self.0.by_name(&format!("{name}.npy")) {
+            Err(ZipError::FileNotFound) => return Ok(None),
+            found => found?,
+        };
+        let mut bytes = Vec::new();
+        entry.read_to_end(&mut bytes)?;
+        Ok(Some(bytes))
+    }
+}
