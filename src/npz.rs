@@ -1,6 +1,7 @@
 //! Arrays by name in one file, as `numpy.load` opens it: a ZIP archive of NumPy's `.npy` files.
 //!
-//! Not compressed: what is stored is noise in its last digits, and compressing takes longer than computing it.
+//! Written without compression: what is stored is noise in its last digits, and compressing takes longer than computing it.
+//! Read with or without, as `numpy.savez_compressed` may have written it.
 
 use npyz::{AutoSerialize, DType, WriterBuilder};
 use std::io::{BufWriter, Read, Result, Seek, Write};
@@ -82,7 +83,7 @@ impl<R: Read + Seek> Reader<R> {
     /// The bytes of an array's `.npy` file, checked against their checksum; none where there is no such array.
     ///
     /// # Errors
-    /// The entry is damaged, or compressed.
+    /// The entry is damaged.
     pub fn bytes(&mut self, name: &str) -> ZipResult<Option<Vec<u8>>> {
         let mut entry = match self.0.by_name(&format!("{name}.npy")) {
             Err(ZipError::FileNotFound) => return Ok(None),

@@ -104,6 +104,30 @@ fn a_kept_solution_gives_the_same_picture() {
     }
 }
 
+/// Arrays that went through `numpy.savez_compressed` are the same solution.
+#[test]
+fn a_compressed_solution_is_read() {
+    let files = Files::diffuse();
+    files.solve();
+    let mut stored = zip::ZipArchive::new(fs::File::open(files.path("s.npz")).unwrap()).unwrap();
+    let mut deflated = zip::ZipWriter::new(fs::File::create(files.path("c.npz")).unwrap());
+    let options =
+        zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Deflated);
+    for k in 0..stored.len() {
+        let mut entry = stored.by_index(k).unwrap();
+        deflated.start_file(entry.name().to_string(), options).unwrap();
+        std::io::copy(&mut entry, &mut deflated).unwrap();
+    }
+    deflated.finish().unwrap();
+    let size = |name: &str| fs::metadata(files.path(name)).unwrap().len();
+    assert!(size("c.npz") < size("s.npz"));
+    for (solution, picture) in [("s.npz", "s.exr"), ("c.npz", "c.exr")] {
+        let render = ["render", "scene.toml", "--quality", "mesh", "--solution", solution, "-o", picture];
+        files.done(&[&render, &PASS2]);
+    }
+    assert_eq!(files.pixels("s.exr"), files.pixels("c.exr"));
+}
+
 /// A frame does not depend on which others are rendered, nor on where pass 1 came from.
 #[test]
 fn frames_do_not_depend_on_the_range() {
@@ -175,9 +199,12 @@ fn solutions_that_are_of_no_use() {
     // What pass 1 depends on makes it stale; cameras and settings of pass 2 do not.
     let stale =
         ["s.npz", "stale", "twopass solve scene.toml -o s.npz --rays 64 --element-size 0.25 --seed 3"];
+    let adaptive = ["solve", "scene.toml", "-o", "a.npz", "--adaptive", "--quality", "mesh", "--quiet"];
+    files.done(&[&adaptive, &QUICK]);
     for (from, to) in [("diffuse = 0.5", "diffuse = 0.6"), ("[3, 2, 1]", "[3, 2, 2]")] {
         files.scene(&toml.replace(from, to).replace("geometry = [\"room.obj\"]\n", ""));
         fails("s.npz", &stale);
+        fails("a.npz", &["a.npz", "stale", "--element-size 0.25 --adaptive --quality mesh"]);
     }
     let rest = toml.replace("geometry = [\"room.obj\"]\n", "");
     files.scene(&format!("{rest}[environment]\nradiance = 0.1\n"));

@@ -22,7 +22,6 @@ use crate::{Error, Result};
 use pilot::{Pilot, Square};
 use serde::Serialize;
 
-/// Qualities by their index here.
 /// Share of the error asked for that is aimed at.
 const AIM: f64 = 0.7;
 /// Share of it at which the estimate counts as met: what is left covers the estimate's own error.
@@ -118,6 +117,7 @@ pub struct Rendered {
 /// Work of one half of the picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Plan {
+    /// Index in [`Quality::ALL`].
     quality: usize,
     level: usize,
     bias: Square,

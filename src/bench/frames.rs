@@ -32,7 +32,7 @@ pub(super) fn frames(stage: &View, name: &str) -> Result<Subject> {
     for round in 0..context.choose(1, 3) {
         let seed = context.settings.seed.wrapping_add(round);
         (context.observer)(&format!("images: {}, seed {seed}", subject.name));
-        for (series, quality) in [("mesh", Quality::Mesh), ("direct", Quality::Direct)] {
+        for quality in [Quality::Mesh, Quality::Direct] {
             for spp in [1, 4] {
                 let settings = settings(Method::TwoPass(quality), spp, seed);
                 let trace = |frame: u32| {
@@ -50,7 +50,7 @@ pub(super) fn frames(stage: &View, name: &str) -> Result<Subject> {
                 let bytes = std::fs::metadata(path(0)).map_err(|e| Error::io(path(0), e))?.len();
                 let small = stage.frame(&settings, Some(&solution));
                 let error = stage.compare(&small.image, &stage.reference.mask)?.relative_rmse;
-                let point = subject.series(series, SPP).at(f64::from(spp));
+                let point = subject.series(quality.name(), SPP).at(f64::from(spp));
                 point.push(RATE, Unit::Plain, f64::from(count) / seconds);
                 point.push(BUSY, Unit::Share, writing / seconds);
                 point.push(BYTES, Unit::Bytes, bytes as f64);

@@ -52,7 +52,8 @@ pub fn run(args: &SolveArgs) -> Result<()> {
         ("versions".into(), serde_json::json!(versions)),
         ("pass1".into(), serde_json::json!(pass1)),
         ("adaptive".into(), serde_json::json!(reads.is_some())),
-        ("quality".into(), serde_json::json!(quality.name())),
+        // Uniform elements suit every quality.
+        ("quality".into(), serde_json::json!(reads.map(|_| quality.name()))),
     ];
     pipeline::stage("write", 0, observer, &mut stages, || {
         let bytes = result.solution.to_npz(&scene, about.into_iter().collect());
