@@ -117,6 +117,7 @@ fn scene(context: &Context, name: &str, found: &mut Measurements) -> Result<()> 
 /// Every method over its samples a pixel.
 fn methods(stage: &View, subject: &mut Subject) -> Result<Vec<Kept>> {
     let context = stage.context;
+    // Of the default samples, in sixteenths.
     let two_pass: &[u32] = context.choose(&[1, 4, 16], &[1, 4, 16, 64]);
     let path: &[u32] = context.choose(&[4, 16, 64, 256], &[1, 4, 16, 64, 256, 512]);
     let mut kept = Vec::new();
@@ -139,8 +140,10 @@ fn methods(stage: &View, subject: &mut Subject) -> Result<Vec<Kept>> {
                 Ok(())
             };
         for quality in Quality::ALL {
-            for &spp in two_pass {
-                one(quality.name(), Method::TwoPass(quality), spp, Some(&solution), before)?;
+            let method = Method::TwoPass(quality);
+            for share in two_pass {
+                let spp = method.default_spp() * share / 16;
+                one(quality.name(), method, spp, Some(&solution), before)?;
             }
         }
         for &spp in path {
@@ -233,8 +236,9 @@ fn path_seconds(subject: &Subject, round: usize, error: f64) -> Option<f64> {
 
 /// How much faster than path tracing the two-pass method is at its own error.
 fn figures(name: &str, subject: &Subject) -> Vec<Figure> {
+    let spp = Method::TwoPass(Quality::Gather).default_spp();
     let Some(gather) = subject.series.iter().find(|s| s.name == "gather") else { return Vec::new() };
-    let Some(point) = gather.points.iter().find(|p| p.parameter == 16.0) else { return Vec::new() };
+    let Some(point) = gather.points.iter().find(|p| p.parameter == f64::from(spp)) else { return Vec::new() };
     let samples = |q: &str| point.get(q).map(|m| m.samples.clone()).unwrap_or_default();
     let errors = samples(ERROR);
     let ratio = |quantity: &str| -> Vec<f64> {
@@ -244,13 +248,13 @@ fn figures(name: &str, subject: &Subject) -> Vec<Figure> {
     };
     let figure = |label: String, unit, samples: Vec<f64>| Figure { label, unit, samples };
     let mut list = vec![figure(
-        format!("relative RMSE of {name} by gather, 16 samples a pixel"),
+        format!("relative RMSE of {name} by gather, {spp} samples a pixel"),
         Unit::Share,
         errors.clone(),
     )];
     for (quantity, frame) in [(FIRST, "the first frame"), (NEXT, "a following frame")] {
         let label = format!(
-            "times faster than path tracing to the same error: {name}, {frame}, gather, 16 samples a pixel"
+            "times faster than path tracing to the same error: {name}, {frame}, gather, {spp} samples a pixel"
         );
         list.push(figure(label, Unit::Plain, ratio(quantity)));
     }

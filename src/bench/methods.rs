@@ -22,6 +22,7 @@ const STORED: &str = "values stored for directions";
 const BLUR: &str = "relative RMSE without noise";
 /// Samples a pixel of pictures by directional radiosity, which interpolate between its elements and directions.
 const FRAME_SPP: u32 = 16;
+const TWO_PASS: Method = Method::TwoPass(Quality::Gather);
 
 pub fn run(context: &Context) -> Result<Measurements> {
     let mut figures = Vec::new();
@@ -98,7 +99,7 @@ fn methods(context: &Context, figures: &mut Vec<Figure>) -> Result<Subject> {
             if round == 0 {
                 // Warm-up.
                 let (solution, _) = view.solve(&Pass1 { rays: 16, ..pass1 })?;
-                view.frame(&settings(Method::TwoPass(Quality::Gather), 1, seed), Some(&solution));
+                view.frame(&settings(TWO_PASS, 1, seed), Some(&solution));
             }
             let (solution, before) = view.solve(&pass1)?;
             let ev = exposure(view.reference);
@@ -108,12 +109,13 @@ fn methods(context: &Context, figures: &mut Vec<Figure>) -> Result<Subject> {
                 }
             };
             let few = [1, 4, 16];
+            let two_pass = [1, 4, 16].map(|share| TWO_PASS.default_spp() * share / 16);
             let many: &[u32] = context.choose(&[4, 16, 64], &[4, 16, 64, 256]);
             for (series, method, samples, solved) in [
                 ("whitted", Method::Whitted, &few[..], false),
                 ("radiosity", Method::Radiosity, &few, true),
                 ("path", Method::Path, many, false),
-                ("two-pass", Method::TwoPass(Quality::Gather), &few, true),
+                ("two-pass", TWO_PASS, &two_pass, true),
             ] {
                 for &spp in samples {
                     let (given, before) = if solved { (Some(&solution), before) } else { (None, 0.0) };
@@ -165,11 +167,12 @@ fn reference_note(reference: &Reference) -> String {
 }
 
 /// All methods side by side: directional radiosity with its fewest and its most directions, whatever else took about as
-/// long as the two-pass picture with 16 samples a pixel.
+/// long as the two-pass picture with its default samples.
 fn strip(view: &View, subject: &Subject, shown: Vec<Shown>) -> Result<Strip> {
     let [width, height] = view.camera.size.map(|n| n as usize);
     let of = |series: &str| shown.iter().filter(|s| s.series == series).collect::<Vec<_>>();
-    let budget = of("two-pass").iter().find(|s| s.at == 16.0).map_or(1.0, |s| s.first);
+    let budget =
+        of("two-pass").iter().find(|s| s.at == f64::from(TWO_PASS.default_spp())).map_or(1.0, |s| s.first);
     let near = |series: &str| {
         let off = |s: &&Shown| (s.first / budget).ln().abs();
         of(series).into_iter().min_by(|a, b| off(a).total_cmp(&off(b)))
@@ -213,16 +216,18 @@ fn strip(view: &View, subject: &Subject, shown: Vec<Shown>) -> Result<Strip> {
             Ok(Picture { caption: lines.join(", "), file: file(&name), png: png(width, height, &rgb)? })
         })
         .collect::<Result<Vec<_>>>()?;
-    let about = "First frames that took about as long as the two-pass picture with 16 samples a pixel, and directional radiosity with its \
+    let about = "First frames that took about as long as the two-pass picture with its default samples, and directional radiosity with its \
                  fewest and its most directions. Whitted's ray tracing leaves black what no lamp lights. Radiosity leaves black what only reflects. \
                  Directional radiosity blurs the mirror over its cells and elements.";
     Ok(Strip { title, about: about.into(), scale: None, pictures, whole: Some(whole) })
 }
 
-/// How much longer the others take to the error that two-pass has with 4 samples a pixel.
+/// How much longer the others take to the error that two-pass has with a quarter of its default samples.
 fn at_equal_error(subject: &mut Subject) -> Vec<Figure> {
+    let spp = TWO_PASS.default_spp() / 4;
     let find = |name: &str| subject.series.iter().find(|s| s.name == name);
-    let Some(point) = find("two-pass").and_then(|s| s.points.iter().find(|p| p.parameter == 4.0)) else {
+    let Some(point) = find("two-pass").and_then(|s| s.points.iter().find(|p| p.parameter == f64::from(spp)))
+    else {
         return Vec::new();
     };
     let (Some(error), Some(time)) = (point.summary(ERROR), point.summary(FIRST)) else { return Vec::new() };
@@ -249,7 +254,7 @@ fn at_equal_error(subject: &mut Subject) -> Vec<Figure> {
         notes.push(words);
     }
     let note = format!(
-        "Two-pass with 4 samples a pixel has an error of {} after {}. The others get there: {}.",
+        "Two-pass with {spp} samples a pixel has an error of {} after {}. The others get there: {}.",
         text::value(error.median, Unit::Share),
         text::value(time.median, Unit::Seconds),
         notes.join("; ")
@@ -292,7 +297,7 @@ fn sharpness(context: &Context, figures: &mut Vec<Figure>) -> Result<Subject> {
                     images.push(frame.image);
                 }
                 let (solution, before) = view.solve(&pass1)?;
-                let frame = view.frame(&settings(Method::TwoPass(Quality::Gather), 4, seed), Some(&solution));
+                let frame = view.frame(&settings(TWO_PASS, 4, seed), Some(&solution));
                 view.record(
                     &mut subject,
                     ("two-pass, 4 samples a pixel", "roughness", roughness),
@@ -460,7 +465,7 @@ mod tests {
     #[test]
     fn methods_are_compared_at_equal_error() {
         let mut s = Subject::new("s", "t", "");
-        add(&mut s, "two-pass", SPP, &[(1.0, 0.5, 0.1), (4.0, 1.0, 0.05)]);
+        add(&mut s, "two-pass", SPP, &[(1.0, 0.5, 0.1), (8.0, 1.0, 0.05)]);
         add(&mut s, "path", SPP, &[(1.0, 0.1, 0.5), (100.0, 10.0, 0.05), (400.0, 40.0, 0.025)]);
         add(&mut s, "whitted", SPP, &[(1.0, 0.01, 0.7), (4.0, 0.04, 0.6)]);
         let figures = at_equal_error(&mut s);

@@ -7,6 +7,7 @@ use crate::Result;
 use crate::color;
 use crate::image::canvas::{BLACK, Canvas, LETTER, WHITE};
 use crate::image::{Image, error_within, mean_image, png, signed_difference, srgb_bytes};
+use crate::render::{Method, Quality};
 
 /// A picture of the first round with what it cost, for the strips.
 pub(super) struct Kept {
@@ -28,7 +29,8 @@ pub(super) fn exposure(reference: &Reference) -> f64 {
 
 /// The reference beside every method after about the same time, and their errors in false colours.
 pub(super) fn pictures(stage: &View, subject: &Subject, kept: &[Kept], name: &str) -> Result<Vec<Strip>> {
-    let gather = kept.iter().filter(|k| k.series == "gather" && k.spp <= 16).map(|k| k.first);
+    let most = Method::TwoPass(Quality::Gather).default_spp();
+    let gather = kept.iter().filter(|k| k.series == "gather" && k.spp <= most).map(|k| k.first);
     let budget = gather.fold(0.0, f64::max);
     let mut chosen: Vec<&Kept> = Vec::new();
     for series in ["mesh", "direct", "gather", "path"] {

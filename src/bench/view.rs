@@ -9,7 +9,7 @@ use crate::emitters::Emitters;
 use crate::image::{Comparison, Difference, Image, Options, relative_rmse_halves};
 use crate::pipeline::{self, Pass1};
 use crate::radiosity::Solution;
-use crate::render::{Estimator, Method, Settings, render};
+use crate::render::{Estimator, GATHER_RAYS, Method, Settings, render};
 use crate::scene::{Camera, Scene};
 use crate::visibility::Visibility;
 use std::time::Instant;
@@ -29,9 +29,14 @@ pub(super) const SPP: &str = "samples a pixel";
 pub(super) fn settings(method: Method, spp: u32, seed: u32) -> Settings {
     match method {
         Method::Path => path_settings(spp, seed),
-        _ => {
-            Settings { method, spp, gather_rays: 32, emitter_samples: 4, estimator: Estimator::Lobe(4), seed }
-        }
+        _ => Settings {
+            method,
+            spp,
+            gather_rays: GATHER_RAYS,
+            emitter_samples: 4,
+            estimator: Estimator::Lobe(4),
+            seed,
+        },
     }
 }
 

@@ -1,5 +1,6 @@
 //! Arguments as typed.
 
+use crate::render::GATHER_RAYS;
 use crate::scene::within_size;
 use clap::{Args as ClapArgs, Parser, Subcommand, ValueEnum};
 use std::ops::{Range, RangeInclusive};
@@ -111,12 +112,12 @@ pub struct RenderArgs {
     /// Where two-pass rendering takes diffuse light from [default: gather, or the scene file's].
     #[arg(long, value_enum)]
     pub quality: Option<QualityArg>,
-    /// Samples a pixel [default: 16, 256 for path, or the scene file's]. At quality gather, a pixel that sees a mirror or glass
+    /// Samples a pixel [default: 32 at quality gather, 256 for path, 16 otherwise, or the scene file's]. At quality gather, a pixel that sees a mirror or glass
     /// takes eight for each of them, with an eighth of the hemisphere rays.
     #[arg(long, value_name = "N", value_parser = count, allow_negative_numbers = true)]
     pub spp: Option<u32>,
     /// Hemisphere rays a sample at quality gather.
-    #[arg(long, value_name = "N", default_value_t = 32, value_parser = count)]
+    #[arg(long, value_name = "N", default_value_t = GATHER_RAYS, value_parser = count)]
     pub gather_rays: u32,
     /// Emitter samples a sample.
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = count)]

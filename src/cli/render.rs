@@ -343,10 +343,9 @@ fn settings(args: &RenderArgs, scene: &Scene) -> Settings {
         MethodArg::Whitted => Method::Whitted,
         MethodArg::Path => Method::Path,
     };
-    let default_spp = if method == Method::Path { 256 } else { 16 };
     Settings {
         method,
-        spp: args.spp.or(scene.render.spp).unwrap_or(default_spp),
+        spp: args.spp.or(scene.render.spp).unwrap_or(method.default_spp()),
         gather_rays: args.gather_rays,
         emitter_samples: args.emitter_samples,
         estimator: match args.lobe {

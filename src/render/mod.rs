@@ -46,6 +46,23 @@ pub enum Quality {
     Gather,
 }
 
+/// Hemisphere rays at each sample, where no other number is asked for.
+///
+/// The error of `gather` goes with samples times rays, not with either: 32 x 16 errs by a seventh to a third less than
+/// 16 x 32 in much the same time, as more samples also find the edges of lamps and what mirrors show.
+pub const GATHER_RAYS: u32 = 16;
+
+impl Method {
+    /// Samples a pixel, where no other number is asked for.
+    pub fn default_spp(self) -> u32 {
+        match self {
+            Method::Path => 256,
+            Method::TwoPass(Quality::Gather) => 32,
+            _ => 16,
+        }
+    }
+}
+
 impl Quality {
     /// All, from the fastest to the finest.
     pub const ALL: [Quality; 3] = [Quality::Mesh, Quality::Direct, Quality::Gather];
