@@ -45,10 +45,10 @@ pub fn cover(polygon: &Polygon, shadow: &[(DVec3, DVec3)]) -> Cover {
     if crossed == 0 { Cover::Whole } else { Cover::Part(crossed) }
 }
 
-/// The part of a polygon within a shadow, in one of two buffers: which one.
-pub fn clip(polygon: &Polygon, shadow: &[(DVec3, DVec3)], crossed: u64, buffers: &mut [Ring; 2]) -> usize {
+/// The part of a polygon within a shadow, in one of two buffers: which one. `crossed` names the planes that may cut it.
+pub fn clip(corners: &[DVec3], shadow: &[(DVec3, DVec3)], crossed: u64, buffers: &mut [Ring; 2]) -> usize {
     let [a, b] = buffers;
-    a.set(polygon.corners());
+    a.set(corners);
     let mut at = 0;
     for (k, &(point, outward)) in shadow.iter().enumerate() {
         if crossed >> k.min(63) & 1 == 1 {
