@@ -28,7 +28,7 @@ pub(super) fn frames(stage: &View, name: &str) -> Result<Subject> {
     );
     let folder = tempfile::tempdir().map_err(|e| Error::io(std::env::temp_dir(), e))?;
     let (solution, _) = stage.solve(&pass1(context, stage.visibility.scene()))?;
-    let count: u32 = context.choose(4, 8);
+    let count: u32 = context.choose(2, 8);
     for round in 0..context.choose(1, 3) {
         let seed = context.settings.seed.wrapping_add(round);
         (context.observer)(&format!("images: {}, seed {seed}", subject.name));

@@ -157,7 +157,7 @@ fn methods(stage: &View, subject: &mut Subject) -> Result<Vec<Kept>> {
 fn elements(stage: &View, subject: &mut Subject) -> Result<()> {
     let defaults = pass1(stage.context, stage.visibility.scene());
     let Some(size) = defaults.element_size else { return Ok(()) };
-    let factors: &[f64] = stage.context.choose(&[2.0, 1.0, 0.5], &[4.0, 2.0, 1.0, 0.5]);
+    let factors: &[f64] = stage.context.choose(&[2.0, 1.0], &[4.0, 2.0, 1.0, 0.5]);
     let seed = stage.context.settings.seed;
     (stage.context.observer)(&format!("images: {}, elements", subject.name));
     for factor in factors {

@@ -16,7 +16,7 @@ pub fn run(context: &Context) -> Result<Measurements> {
     let visibility = Visibility::new(context.device, &scene)?;
     let emitters = Emitters::new(&visibility);
     let area: f64 = scene.faces.iter().map(|f| f.area).sum();
-    let counts: &[f64] = context.choose(&[1e3, 1e4, 5e4], &[1e3, 1e4, 1e5, 1e6]);
+    let counts: &[f64] = context.choose(&[1e3, 1e4, 3e4], &[1e3, 1e4, 1e5, 1e6]);
     let mut subject = Subject::new(
         "cornell",
         format!("cornell, {RAYS} rays an element"),

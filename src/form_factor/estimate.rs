@@ -24,6 +24,8 @@ const QUICK: f64 = 1e-5;
 const RAYS_A_LAMP: u32 = 64;
 /// Relative error of the unoccluded factors of emitters beside hemisphere rays.
 const LAMP: f64 = 1e-4;
+/// Factor of emitters below which errors count as shares of this one.
+const LAMP_FLOOR: f64 = 1e-6;
 
 /// What is asked for.
 #[derive(Clone, Copy)]
@@ -137,7 +139,7 @@ fn lamps(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Option<FewP
         points: 8,
         batches: pairs::FEW_BATCHES,
         error: None,
-        floor: 0.0,
+        floor: LAMP_FLOOR,
         tolerance: LAMP,
         by_cells: true,
         unoccluded: false,

@@ -19,6 +19,8 @@ use std::time::Instant;
 use truth::{Truth, closure, pair_work, reciprocity};
 
 const TIME: &str = "time";
+/// Factor below which [`Method::Pairs`] counts errors as shares of this one.
+const FLOOR: f64 = 1e-4;
 const RMS: &str = "RMS error";
 const LARGEST: &str = "largest error";
 const CLOSURE: &str = "closure residual";
@@ -34,7 +36,7 @@ enum Method {
     Sobol,
     /// The same, both directions' estimates combined.
     Reciprocity,
-    /// Exact unoccluded factors times visible fractions from points on both elements.
+    /// Exact unoccluded factors times visible fractions, until an error is met.
     Pairs,
     /// Closed forms.
     Exact,
@@ -64,8 +66,7 @@ impl Method {
     fn parameter(self) -> &'static str {
         match self {
             Method::Random | Method::Sobol | Method::Reciprocity => "rays an element",
-            Method::Pairs => "points a pair",
-            Method::Exact => "relative accuracy asked for, 10^-",
+            Method::Pairs | Method::Exact => "relative accuracy asked for, 10^-",
             Method::Centre => "pixels along an edge",
             Method::Grid(_) | Method::Turned(_) => "hemi-cubes along an edge",
         }
@@ -75,7 +76,7 @@ impl Method {
     fn settings(self) -> Vec<u32> {
         match self {
             Method::Random | Method::Sobol | Method::Reciprocity => (2..=11).map(|k| 1 << (2 * k)).collect(),
-            Method::Pairs => (0..=6).map(|k| 8 << (2 * k)).collect(),
+            Method::Pairs => vec![1, 2, 3, 4],
             Method::Exact => vec![3, 5, 7, 9],
             Method::Centre => (2..=11).map(|k| 1 << k).collect(),
             Method::Grid(_) | Method::Turned(_) => (1..=7).map(|k| 1 << k).collect(),
@@ -154,9 +155,9 @@ impl Method {
                 Ok((factors, start.elapsed().as_secs_f64()))
             }
             Method::Pairs => {
-                let work = pair_work(seed);
-                let points = (setting / work.batches as u32).max(1);
-                of_pairs(PairFactors::new(&tree()?, mesh, &PairWork { points, ..work }))
+                let error = Some(10f64.powi(-(setting as i32)));
+                let work = PairWork { error, floor: FLOOR, ..pair_work(seed) };
+                of_pairs(PairFactors::new(&tree()?, mesh, &work))
             }
             Method::Exact => {
                 let tolerance = 10f64.powi(-(setting as i32));
