@@ -8,7 +8,7 @@ use common::*;
 use glam::DVec3;
 use std::f64::consts::PI;
 use twopass::form_factor::analytic::{EXACT, Polygon, differential, exchange};
-use twopass::form_factor::{Factors, ObjectTable, Request, estimate, unoccluded};
+use twopass::form_factor::{Estimates, Factors, ObjectTable, Request, estimate, unoccluded};
 use twopass::mesh::{Mesh, Sides};
 use twopass::scene::Scene;
 use twopass::visibility::Visibility;
@@ -293,10 +293,10 @@ fn many_blockers_take_rays() {
     let visibility = Visibility::new(&device, &scene).expect("tree");
     let mesh = Mesh::new(&scene, &Sides::fronts(&scene), 1e9, true).expect("mesh");
     let found = estimate(&visibility, &mesh, &request(65_536, 5));
-    let counts = found.pairs.as_ref().expect("few elements").counts;
+    let counts = found.pairs().expect("few elements").counts;
     assert_eq!((counts.rays, counts.shadows), (1, 0), "{counts:?}");
     let t = found.table(&scene, &mesh, 0.0);
-    let rows = found.rows.as_ref().expect("hemisphere rays too");
+    let rows = found.rows().expect("hemisphere rays too");
     let h = ObjectTable::new(&scene, &mesh, rows, 0.0);
     let (f, g) = (t.form_factors[0][1], h.form_factors[0][1]);
     let error = t.standard_errors[0][1].hypot(h.standard_errors[0][1]);
@@ -318,10 +318,10 @@ fn rows_of_a_closed_room_close() {
     let mesh = Mesh::new(&scene, &Sides::fronts(&scene), 0.25, true).expect("mesh");
     let request = Request { error: Some(0.005), by_object: false, ..request(64, 1) };
     let found = estimate(&visibility, &mesh, &request);
-    let pairs = found.pairs.as_ref().expect("an error was asked for");
+    let pairs = found.pairs().expect("an error was asked for");
     eprintln!("{:?}", pairs.counts);
     assert!(pairs.counts.hidden > 0 && pairs.counts.cells > 0 && pairs.counts.free > 0);
-    let rows = found.rows.as_ref().expect("hemisphere rays too");
+    let rows = found.rows().expect("hemisphere rays too");
     let mut worst: f64 = 0.0;
     for i in 0..mesh.len() {
         let sum: f64 = pairs.row(i).map(|(_, f)| f).sum();
@@ -351,7 +351,7 @@ fn oracle_occluded_pairs_by_cells() {
         let mesh = Mesh::new(&scene, &Sides::fronts(&scene), (area / 300.0).sqrt(), true).expect("mesh");
         let asked = Request { error: Some(0.01), floor: 1e-6, by_object: false, ..request(16, 1) };
         let found = estimate(&visibility, &mesh, &asked);
-        let counts = found.pairs.as_ref().expect("an error was asked for").counts;
+        let counts = found.pairs().expect("an error was asked for").counts;
         assert_eq!((counts.shadows, counts.rays), (0, 0), "{counts:?}");
         cells += counts.cells;
         let t = found.table(&scene, &mesh, 0.0);
@@ -391,7 +391,7 @@ fn faces_that_continue_each_other_block_as_one() {
         let mesh = Mesh::new(&scene, &Sides::fronts(&scene), 0.25, true).expect("mesh");
         let asked = Request { error: Some(0.01), floor: 1e-6, by_object: false, ..request(16, 1) };
         let found = estimate(&visibility, &mesh, &asked);
-        let pairs = found.pairs.expect("an error was asked for");
+        let pairs = found.pairs().expect("an error was asked for");
         eprintln!("{} faces: {:?}", scene.faces.len(), pairs.counts);
         let mut factors: Vec<f64> = (0..mesh.len()).flat_map(|i| pairs.row(i).map(|(_, f)| f)).collect();
         factors.sort_by(f64::total_cmp);
@@ -429,10 +429,10 @@ fn factors_of_a_small_lamp_are_exact_beside_rays() {
         .collect();
     assert!(n > 600 && lamp.iter().filter(|l| **l).count() == 1);
     let asked = |rays, error| Request { error, floor: 1e-6, by_object: false, ..request(rays, 3) };
-    let converged =
-        estimate(&visibility, &mesh, &asked(16, Some(0.002))).pairs.expect("an error was asked for");
+    let converged = estimate(&visibility, &mesh, &asked(16, Some(0.002)));
+    let converged = converged.pairs().expect("an error was asked for");
     let found = estimate(&visibility, &mesh, &asked(256, None));
-    let rays = found.rows.as_ref().expect("hemisphere rays");
+    let rays = found.rows().expect("hemisphere rays");
     let dense = |few| {
         let f = Factors::of_elements(&scene, &mesh, (rays, few), 0..n, 0.0);
         let mut all = vec![0.0; n * n];
@@ -447,7 +447,8 @@ fn factors_of_a_small_lamp_are_exact_beside_rays() {
         }
         all
     };
-    let (mended, alone) = (dense(found.lamps.as_ref()), dense(None));
+    let Estimates::Rows(_, Some(lamps)) = &found.estimates else { panic!("a lamp") };
+    let (mended, alone) = (dense(Some(lamps)), dense(None));
     let (mut rest, mut worst, mut by_rays) = ([0.0, 0.0], 0.0f64, 0.0f64);
     for (i, j) in (0..n * n).map(|k| (k / n, k % n)) {
         let (exact, k) = (converged.factor(i, j).0, i * n + j);

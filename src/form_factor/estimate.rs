@@ -1,6 +1,6 @@
 //! Which estimator answers a request for form factors, and how much work it takes.
 
-use super::found::Found;
+use super::found::{Estimates, Found};
 use super::pairs::{self, FewPairs, PairFactors, PairWork, Surfaces};
 use super::{Casting, ExchangeMatrix, ObjectTable, analytic, cast};
 use crate::mesh::Mesh;
@@ -68,12 +68,11 @@ pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Foun
         cast(visibility, mesh, &casting).0
     };
     if !by_pairs(mesh.len(), scene, request) {
-        let mut found = by_rows(visibility, mesh, request, rows);
-        if request.error.is_none() && !request.by_object {
-            found.lamps = lamps(visibility, mesh, request);
-            found.rays += found.lamps.as_ref().map_or(0, |l| l.rays);
-        }
-        return found;
+        let (matrix, achieved, rays) = by_rows(visibility, mesh, request, rows);
+        let alone = request.error.is_some() || request.by_object;
+        let lamps = if alone { None } else { lamps(visibility, mesh, request) };
+        let rays = rays + lamps.as_ref().map_or(0, |l| l.rays);
+        return Found { estimates: Estimates::Rows(matrix, lamps), achieved, rays, blocked: Vec::new() };
     }
     let few = mesh.len() <= FEW_ELEMENTS;
     // Hemisphere rays spend one budget; the pairs have another one. Where an error is asked for, the rays only tell what share
@@ -108,14 +107,8 @@ pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Foun
         });
         let short = request.error.zip(achieved).map(|(asked, reached)| reached / asked).filter(|s| *s > 1.0);
         let (Some(short), true, true) = (short, request.by_object, work.points < pairs::MOST_POINTS) else {
-            return Found {
-                rows: Some(rows),
-                pairs: Some(found),
-                lamps: None,
-                achieved,
-                rays,
-                blocked: Vec::new(),
-            };
+            let estimates = Estimates::Pairs(found, Some(rows));
+            return Found { estimates, achieved, rays, blocked: Vec::new() };
         };
         work.points = more(work.points, short, pairs::MOST_POINTS);
     }
@@ -179,16 +172,16 @@ pub fn unoccluded(
     };
     let found = PairFactors::new(visibility, mesh, &work);
     let (blocked, rays) = found.blocked_objects(visibility, mesh, seed);
-    Ok(Found { rows: None, pairs: Some(found), lamps: None, achieved: None, rays, blocked })
+    Ok(Found { estimates: Estimates::Pairs(found, None), achieved: None, rays, blocked })
 }
 
-/// Hemisphere rays alone, more of them until they meet an asked error.
+/// Hemisphere rays alone, more of them until they meet an asked error: the rows, their error, and the rays cast in all.
 fn by_rows(
     visibility: &Visibility,
     mesh: &Mesh,
     request: &Request,
     rows: impl Fn(u32) -> ExchangeMatrix,
-) -> Found {
+) -> (ExchangeMatrix, Option<f64>, u64) {
     let (mut per_element, mut rays) = (request.rays, 0);
     loop {
         let matrix = rows(per_element);
@@ -197,27 +190,13 @@ fn by_rows(
             true => largest_error(&ObjectTable::new(visibility.scene(), mesh, &matrix, 0.0), request.floor),
             false => largest_row_error(&matrix, request.floor),
         });
-        let (Some(asked), Some(reached)) = (request.error, achieved) else {
-            return Found {
-                rows: Some(matrix),
-                pairs: None,
-                lamps: None,
-                achieved,
-                rays,
-                blocked: Vec::new(),
-            };
-        };
-        if reached <= asked || per_element >= MOST_RAYS {
-            return Found {
-                rows: Some(matrix),
-                pairs: None,
-                lamps: None,
-                achieved,
-                rays,
-                blocked: Vec::new(),
-            };
+        let short = request.error.zip(achieved).map(|(asked, reached)| reached / asked).filter(|s| *s > 1.0);
+        match short {
+            Some(short) if per_element < MOST_RAYS => {
+                per_element = more(per_element.next_power_of_two(), short, MOST_RAYS);
+            }
+            _ => return (matrix, achieved, rays),
         }
-        per_element = more(per_element.next_power_of_two(), reached / asked, MOST_RAYS);
     }
 }
 

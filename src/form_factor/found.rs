@@ -6,14 +6,18 @@ use super::{ExchangeMatrix, ObjectTable};
 use crate::mesh::Mesh;
 use crate::scene::Scene;
 
+/// Factors by one of the estimators.
+pub enum Estimates {
+    /// Rows by hemisphere rays, and factors from and to emitters that take the place of their entries between elements.
+    Rows(ExchangeMatrix, Option<FewPairs>),
+    /// Factors found pair by pair, and rows that tell where the rest of the light goes; none where occlusion is ignored.
+    Pairs(PairFactors, Option<ExchangeMatrix>),
+}
+
 /// Form factors by the estimator that fitted.
 pub struct Found {
-    /// Rows by hemisphere rays.
-    pub rows: Option<ExchangeMatrix>,
-    /// Factors found pair by pair, which take the place of the rows' entries.
-    pub pairs: Option<PairFactors>,
-    /// Factors from and to emitters, which take the place of the rows' entries between elements.
-    pub lamps: Option<FewPairs>,
+    /// The factors.
+    pub estimates: Estimates,
     /// Largest relative standard error of a factor above the floor, where an error was asked for.
     pub achieved: Option<f64>,
     /// Rays cast in all.
@@ -25,22 +29,33 @@ pub struct Found {
 impl Found {
     /// Factors found by rows alone.
     pub fn by_rows(rows: ExchangeMatrix) -> Found {
-        Found {
-            rays: rows.rays,
-            rows: Some(rows),
-            pairs: None,
-            lamps: None,
-            achieved: None,
-            blocked: Vec::new(),
+        let rays = rows.rays;
+        Found { estimates: Estimates::Rows(rows, None), achieved: None, rays, blocked: Vec::new() }
+    }
+
+    /// Rows by hemisphere rays, where there are any.
+    pub fn rows(&self) -> Option<&ExchangeMatrix> {
+        match &self.estimates {
+            Estimates::Rows(rows, _) => Some(rows),
+            Estimates::Pairs(_, rows) => rows.as_ref(),
+        }
+    }
+
+    /// Factors found pair by pair, where these are the result.
+    pub fn pairs(&self) -> Option<&PairFactors> {
+        match &self.estimates {
+            Estimates::Rows(..) => None,
+            Estimates::Pairs(pairs, _) => Some(pairs),
         }
     }
 
     /// The factors between objects, from fronts alone; both directions' estimates combined.
     pub fn table(&self, scene: &Scene, mesh: &Mesh, seconds: f64) -> ObjectTable {
-        match (&self.pairs, &self.rows) {
-            (Some(pairs), rows) => ObjectTable::of_pairs(scene, mesh, pairs, rows.as_ref(), seconds),
-            (None, Some(rows)) => ObjectTable::combined(scene, mesh, rows, seconds),
-            (None, None) => unreachable!("factors are found by rows or by pairs"),
+        match &self.estimates {
+            Estimates::Pairs(pairs, rows) => {
+                ObjectTable::of_pairs(scene, mesh, pairs, rows.as_ref(), seconds)
+            }
+            Estimates::Rows(rows, _) => ObjectTable::combined(scene, mesh, rows, seconds),
         }
     }
 
@@ -61,7 +76,7 @@ impl Found {
         }
         if let (Some(asked), Some(achieved)) = (asked, self.achieved) {
             if achieved > asked {
-                let most = match &self.pairs {
+                let most = match self.pairs() {
                     Some(found) if found.counts.cells > 0 => "the finest cells".to_string(),
                     Some(_) => format!("{} points a pair", pairs::MOST_POINTS * pairs::BATCHES as u32),
                     None => format!("{MOST_RAYS} rays an element"),
@@ -77,23 +92,22 @@ impl Found {
     /// How the factors were found, a line each.
     pub fn lines(&self, floor: f64) -> Vec<String> {
         let mut lines = Vec::new();
-        match (&self.pairs, &self.rows) {
-            (Some(pairs), _) => {
+        match &self.estimates {
+            Estimates::Pairs(pairs, _) => {
                 let c = pairs.counts;
                 lines.push(format!(
                     "pairs of elements: {} averted, {} free, {} hidden, {} by cells, {} by shadows, {} by rays",
                     c.averted, c.free, c.hidden, c.cells, c.shadows, c.rays
                 ));
             }
-            (None, Some(rows)) => {
-                let lamps = self.lamps.as_ref().map_or(0, FewPairs::len);
+            Estimates::Rows(rows, lamps) => {
+                let lamps = lamps.as_ref().map_or(0, FewPairs::len);
                 let besides = match lamps {
                     0 => String::new(),
                     _ => format!("; {lamps} elements of emitters pair by pair"),
                 };
                 lines.push(format!("hemisphere rays: {} an element{besides}", rows.rays_per_row));
             }
-            (None, None) => {}
         }
         if let Some(achieved) = self.achieved {
             lines.push(format!("largest relative standard error above {floor}: {achieved:.2e}"));

@@ -22,7 +22,7 @@ mod tally;
 pub use correct::{Correction, Enforce, correct};
 pub use estimate::{MOST_RAYS, Request, by_pairs, estimate, unoccluded};
 pub use export::Factors;
-pub use found::Found;
+pub use found::{Estimates, Found};
 pub use gathered::{EmitterIrradiance, EmitterRows, EmitterWork};
 pub use hemicube::{DeltaFactors, HemicubeErrors, HemicubeSettings, MOST_PIXELS, hemicube, item_image};
 pub use matrix::{ExchangeMatrix, RowSummary};

@@ -163,7 +163,7 @@ impl FactorReport {
         (method, some): (&'static str, bool),
         written: &WrittenFactors,
     ) -> FactorReport {
-        let (rows, pairs) = (found.rows.as_ref(), found.pairs.as_ref());
+        let (rows, pairs) = (found.rows(), found.pairs());
         let by_rows = rows.map_or(0.0, |r| r.closure_residual(|_| Rgb::ZERO));
         // Pairs are reciprocal as they are.
         let reciprocity =

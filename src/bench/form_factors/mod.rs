@@ -9,8 +9,8 @@ use super::{Context, Measurements, pool, thread_counts, threads_in_words};
 use crate::Result;
 use crate::form_factor::pairs::{PairFactors, PairWork};
 use crate::form_factor::{
-    Casting, Enforce, ExchangeMatrix, Factors, Found, HemicubeSettings, cast, cast_random, cast_rows,
-    correct, hemicube,
+    Casting, Enforce, Estimates, ExchangeMatrix, Factors, Found, HemicubeSettings, cast, cast_random,
+    cast_rows, correct, hemicube,
 };
 use crate::pipeline::BATCHES;
 use crate::visibility::Visibility;
@@ -123,14 +123,8 @@ impl Method {
         let of_pairs = |pairs: PairFactors| {
             let seconds = start.elapsed().as_secs_f64();
             let rays = pairs.rays;
-            let found = Found {
-                rows: None,
-                pairs: Some(pairs),
-                lamps: None,
-                achieved: None,
-                rays,
-                blocked: Vec::new(),
-            };
+            let estimates = Estimates::Pairs(pairs, None);
+            let found = Found { estimates, achieved: None, rays, blocked: Vec::new() };
             Ok((Factors::of_found(scene, mesh, &found, (false, 0..n), 0.0), seconds))
         };
         let casting = Casting {

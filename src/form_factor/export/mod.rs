@@ -11,7 +11,7 @@ pub use text::{to_csv, to_json, to_view3d};
 pub use view::{View, view};
 
 use super::pairs::{FewPairs, PairFactors};
-use super::{ExchangeMatrix, Found, ObjectTable};
+use super::{Estimates, ExchangeMatrix, Found, ObjectTable};
 use crate::color::{self, Rgb};
 use crate::mesh::Mesh;
 use crate::scene::Scene;
@@ -142,25 +142,24 @@ impl Factors {
         (by_object, rows): (bool, Range<usize>),
         seconds: f64,
     ) -> Factors {
-        match (&found.pairs, &found.rows, by_object) {
-            (Some(pairs), matrix, true) => {
+        match (&found.estimates, by_object) {
+            (Estimates::Pairs(pairs, matrix), true) => {
                 let table = found.table(scene, mesh, seconds);
                 let rest = |e: usize| pairs.rest(e, matrix.as_ref().and_then(|m| m.summary.get(e))).absorbed;
                 Factors::of_table(scene, mesh, table, rest, rows)
             }
-            (Some(pairs), matrix, false) => {
+            (Estimates::Pairs(pairs, matrix), false) => {
                 Factors::of_pairs(scene, mesh, pairs, matrix.as_ref(), rows, seconds)
             }
             // An error that was asked for is that of both directions together.
-            (None, Some(matrix), true) if found.achieved.is_some() => {
+            (Estimates::Rows(matrix, _), true) if found.achieved.is_some() => {
                 let lost = |e: usize| matrix.summary[e].absorbed + matrix.summary[e].dropped;
                 Factors::of_table(scene, mesh, found.table(scene, mesh, seconds), lost, rows)
             }
-            (None, Some(matrix), true) => Factors::of_objects(scene, mesh, matrix, rows, seconds),
-            (None, Some(matrix), false) => {
-                Factors::of_elements(scene, mesh, (matrix, found.lamps.as_ref()), rows, seconds)
+            (Estimates::Rows(matrix, _), true) => Factors::of_objects(scene, mesh, matrix, rows, seconds),
+            (Estimates::Rows(matrix, lamps), false) => {
+                Factors::of_elements(scene, mesh, (matrix, lamps.as_ref()), rows, seconds)
             }
-            (None, None, _) => unreachable!("factors are found by rows or by pairs"),
         }
     }
 
