@@ -30,7 +30,7 @@ fn scene(context: &Context, name: &str, found: &mut Measurements) -> Result<()> 
     camera.size = [width, width * camera.size[1] / camera.size[0]];
     let visibility = Visibility::new(context.device, &scene)?;
     let emitters = Emitters::new(&visibility);
-    let reference = reference(context, &visibility, &emitters, &camera, context.choose(1024, 2048))?;
+    let reference = reference(context, &visibility, &emitters, &camera, context.choose(512, 2048))?;
     let stage = View {
         context,
         visibility: &visibility,
@@ -126,7 +126,7 @@ fn methods(stage: &View, subject: &mut Subject) -> Result<Vec<Kept>> {
     // Warm-up: both passes once, small.
     let (solution, _) = stage.solve(&Pass1 { rays: 64, ..first })?;
     stage.frame(&settings(Method::TwoPass(Quality::Gather), 1, 0), Some(&solution));
-    for round in 0..2 {
+    for round in 0..context.choose(1, 2) {
         let seed = context.settings.seed.wrapping_add(round);
         (context.observer)(&format!("images: {}, seed {seed}", subject.name));
         let (solution, before) = stage.solve(&Pass1 { seed, ..first })?;
