@@ -69,7 +69,7 @@ fn scene(context: &Context, name: &str) -> Result<(Subject, Vec<Figure>)> {
     let (mut ratios, mut kept) = (Vec::new(), Vec::new());
     for &n in &threads {
         let pool = pool(n)?;
-        rounds(context.settings.seed, context.choose(3, 5), |seed, counts| {
+        rounds(context.settings.seed, context.choose(2, 5), |seed, counts| {
             (context.observer)(&format!("embree: {name}, {n} threads, seed {seed}"));
             let rates: Vec<f64> = pool.install(|| {
                 calls.iter().map(|&call| embree_rate(&visibility, &mesh, rays, seed, call)).collect()
