@@ -19,13 +19,13 @@ use std::time::Instant;
 use truth::{Truth, closure, pair_work, reciprocity};
 
 const TIME: &str = "time";
-/// Factor below which [`Method::Pairs`] counts errors as shares of this one.
-const FLOOR: f64 = 1e-4;
 const RMS: &str = "RMS error";
 const LARGEST: &str = "largest error";
 const CLOSURE: &str = "closure residual";
 const RECIPROCITY: &str = "reciprocity residual";
 const DIRECTIONS: &str = "directions an element";
+/// Factor below which [`Method::Pairs`] counts errors as shares of this one.
+const FLOOR: f64 = 1e-4;
 
 /// A way to form factors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -316,13 +316,13 @@ impl Cells {
             |value: &dyn Fn(&Ring) -> f64| hidden.iter().map(|(sign, ring)| sign * value(ring)).sum::<f64>();
         let seen = match target.size {
             Size::Point => {
-                let (mut open, mut first) = (target.moment.0, target.moment.0 * target.moment.1);
+                let (mut open, mut moment) = (target.moment.0, target.moment.0 * target.moment.1);
                 for (sign, ring) in hidden {
                     let (area, centroid) = ring.moment(polygon.normal);
                     open -= sign * area;
-                    first -= sign * area * centroid;
+                    moment -= sign * area * centroid;
                 }
-                if open <= 0.0 { 0.0 } else { point(open, first / open) }
+                if open <= 0.0 { 0.0 } else { point(open, moment / open) }
             }
             Size::Small => {
                 let rest = whole - sum(&|ring| midpoints(viewer, normal, ring.corners(), polygon.normal));
