@@ -166,8 +166,12 @@ impl Polygon {
     /// Two halves, cut across the longest edge through the middle.
     pub fn halves(&self) -> [Option<Polygon>; 2] {
         let along = self.edges().map(|(a, b)| b - a).max_by(|a, b| a.length().total_cmp(&b.length()));
-        let along = along.unwrap_or(DVec3::X);
-        [along, -along].map(|n| match self.before(self.middle(), n) {
+        self.halves_across(along.unwrap_or(DVec3::X))
+    }
+
+    /// The parts on either side of the plane through the middle with this normal.
+    pub fn halves_across(&self, normal: DVec3) -> [Option<Polygon>; 2] {
+        [normal, -normal].map(|n| match self.before(self.middle(), n) {
             Cut::All => Some(*self),
             Cut::Nothing => None,
             Cut::Part(p) => Some(p),

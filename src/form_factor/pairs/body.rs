@@ -36,7 +36,7 @@ struct Edge {
 
 impl Body {
     /// The bodies of a scene: surfaces that hang together by their edges, lie behind each other's planes,
-    /// and leave open edges in one plane only. Other surfaces are bodies each.
+    /// and leave open edges in one plane only. Other surfaces are bodies each. The largest come first.
     pub fn all(surfaces: &Surfaces) -> Vec<Body> {
         let polygons = &surfaces.polygons;
         let mut by_edge = BTreeMap::<_, Vec<usize>>::new();
@@ -67,7 +67,15 @@ impl Body {
                 None => bodies.extend(group.iter().map(|f| Body::single(*f, &polygons[*f], surfaces.eps))),
             }
         }
+        // What the large ones hide, the small ones need not be asked about.
+        bodies.sort_by(|a, b| b.extent().total_cmp(&a.extent()));
         bodies
+    }
+
+    /// Largest distance of two of its corners, squared.
+    fn extent(&self) -> f64 {
+        let all = self.corners.iter();
+        all.flat_map(|a| self.corners.iter().map(|b| a.distance_squared(*b))).fold(0.0, f64::max)
     }
 
     fn single(number: usize, polygon: &Polygon, eps: f64) -> Body {

@@ -18,6 +18,7 @@
 mod body;
 mod cells;
 mod few;
+mod look;
 mod merge;
 mod ring;
 mod rows;
@@ -45,7 +46,7 @@ pub const FEW_BATCHES: usize = 8;
 
 /// Most surfaces (faces, joined where they continue each other) whose shafts are searched: the search takes their
 /// number cubed.
-pub const MOST_SURFACES: usize = 512;
+pub const MOST_SURFACES: usize = 1024;
 /// Most elements whose pairs are held: 100 MB.
 pub const MOST_ELEMENTS: usize = 4096;
 

@@ -1,6 +1,5 @@
 //! Convex polygons clipped by shadows, in a fixed place.
 
-use crate::form_factor::analytic::{Polygon, lambert};
 use glam::DVec3;
 
 /// Corners of a clipped polygon: what goes beyond is cut off.
@@ -26,11 +25,11 @@ pub enum Cover {
 
 /// How much of a polygon a shadow covers.
 #[inline]
-pub fn cover(polygon: &Polygon, shadow: &[(DVec3, DVec3)]) -> Cover {
+pub fn cover(polygon: &[DVec3], shadow: &[(DVec3, DVec3)]) -> Cover {
     let mut crossed = 0u64;
     for (k, (point, outward)) in shadow.iter().enumerate() {
         let (mut out, mut within) = (true, true);
-        for c in polygon.corners() {
+        for c in polygon {
             let d = (*c - *point).dot(*outward);
             out &= d >= 0.0;
             within &= d <= 0.0;
@@ -63,18 +62,50 @@ pub fn clip(corners: &[DVec3], shadow: &[(DVec3, DVec3)], crossed: u64, buffers:
     at
 }
 
-impl Ring {
-    pub fn of(corners: &[DVec3]) -> Ring {
-        let mut ring = Ring::default();
-        ring.set(corners);
-        ring
+/// Many convex polygons, corner after corner.
+#[derive(Default)]
+pub struct Rings {
+    corners: Vec<DVec3>,
+    /// Where each ends.
+    ends: Vec<usize>,
+}
+
+impl Rings {
+    pub fn clear(&mut self) {
+        self.corners.clear();
+        self.ends.clear();
     }
 
+    pub fn len(&self) -> usize {
+        self.ends.len()
+    }
+
+    pub fn push(&mut self, corners: &[DVec3]) {
+        self.corners.extend_from_slice(corners);
+        self.ends.push(self.corners.len());
+    }
+
+    pub fn truncate(&mut self, len: usize) {
+        self.ends.truncate(len);
+        self.corners.truncate(self.ends.last().copied().unwrap_or(0));
+    }
+
+    pub fn get(&self, k: usize) -> &[DVec3] {
+        let start = if k == 0 { 0 } else { self.ends[k - 1] };
+        &self.corners[start..self.ends[k]]
+    }
+
+    pub fn iter(&self) -> impl Iterator<Item = &[DVec3]> {
+        (0..self.len()).map(|k| self.get(k))
+    }
+}
+
+impl Ring {
     pub fn corners(&self) -> &[DVec3] {
         &self.corners[..self.len]
     }
 
-    fn set(&mut self, corners: &[DVec3]) {
+    pub fn set(&mut self, corners: &[DVec3]) {
         self.corners[..corners.len()].copy_from_slice(corners);
         self.len = corners.len();
     }
@@ -105,24 +136,19 @@ impl Ring {
             (from, d) = (to, e);
         }
     }
+}
 
-    /// Area [m^2] and centroid of a polygon with this unit normal.
-    pub fn moment(&self, normal: DVec3) -> (f64, DVec3) {
-        let o = self.corners[0];
-        let (mut area, mut first) = (0.0, DVec3::ZERO);
-        let mut p = self.corners[1] - o;
-        for corner in &self.corners[2..self.len] {
-            let q = *corner - o;
-            let twice = p.cross(q).dot(normal);
-            area += twice;
-            first += twice * (p + q);
-            p = q;
-        }
-        if area == 0.0 { (0.0, o) } else { (0.5 * area, o + first / (3.0 * area)) }
+/// Area [m^2] and centroid of a polygon with this unit normal.
+pub fn moment(corners: &[DVec3], normal: DVec3) -> (f64, DVec3) {
+    let o = corners[0];
+    let (mut area, mut first) = (0.0, DVec3::ZERO);
+    let mut p = corners[1] - o;
+    for corner in &corners[2..] {
+        let q = *corner - o;
+        let twice = p.cross(q).dot(normal);
+        area += twice;
+        first += twice * (p + q);
+        p = q;
     }
-
-    /// Lambert's formula, for what lies above the horizon and faces the viewer.
-    pub fn lambert(&self, viewer: DVec3, normal: DVec3) -> f64 {
-        lambert(viewer, normal, &self.corners[..self.len])
-    }
+    if area == 0.0 { (0.0, o) } else { (0.5 * area, o + first / (3.0 * area)) }
 }

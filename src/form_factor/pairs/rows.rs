@@ -1,5 +1,6 @@
 //! One element against others.
 
+use super::body::Body;
 use super::cells::{Accuracy, Cells};
 use super::shadow::{Pieces, Seen, Shadow, visible};
 use super::shaft::{Shaft, blocks_all};
@@ -15,7 +16,7 @@ use std::f64::consts::PI;
 use std::ops::Range;
 
 /// Bodies between two elements beyond which points are cheaper than cells.
-const MOST_BODIES: usize = 8;
+const MOST_BODIES: usize = 64;
 /// Relative error of integrals over cells where none is asked for.
 const CELL_ERROR: f64 = 0.01;
 /// Least standard error of integrals over cells, as a share of the factor: 98 % of those of the Cornell box are then within two.
@@ -205,7 +206,7 @@ impl Shared<'_, '_> {
         (pa, pb): (&Polygon, &Polygon),
         row: &mut Row,
     ) -> Option<(f64, Option<Estimate>)> {
-        let (mut bodies, mut count) = ([0; MOST_BODIES], 0);
+        let mut between: Vec<&Body> = Vec::new();
         for k in self.between(i, j).map_or(&[][..], |between| &between.bodies) {
             let body = &self.bodies[*k as usize];
             let past =
@@ -214,15 +215,11 @@ impl Shared<'_, '_> {
             if free {
                 continue;
             }
-            if count == MOST_BODIES {
+            if between.len() == MOST_BODIES {
                 return None;
             }
-            bodies[count] = *k as usize;
-            count += 1;
+            between.push(body);
         }
-        let mut between = [&self.bodies[0]; MOST_BODIES];
-        between.iter_mut().zip(&bodies[..count]).for_each(|(to, k)| *to = &self.bodies[*k]);
-        let between = &between[..count];
         if between.iter().any(|body| body.hides(pa, pb)) {
             row.counts.hidden += 1;
             return Some((0.0, None));
@@ -242,9 +239,9 @@ impl Shared<'_, '_> {
         let relative = self.work.error.unwrap_or(CELL_ERROR);
         let accuracy = Accuracy { relative, floor: self.work.floor / largest };
         let found = if distance(pa) >= distance(pb) {
-            scratch.cells.fraction(pa, pb, between, accuracy)
+            scratch.cells.fraction(pa, pb, &between, accuracy)
         } else {
-            scratch.cells.fraction(pb, pa, between, accuracy)
+            scratch.cells.fraction(pb, pa, &between, accuracy)
         };
         let part = found.value > 0.0 && found.value < 1.0;
         let least = if part { LEAST * found.value } else { 0.0 };
