@@ -8,7 +8,7 @@ use common::*;
 use glam::DVec3;
 use std::f64::consts::PI;
 use twopass::form_factor::analytic::{EXACT, Polygon, differential, exchange};
-use twopass::form_factor::{Estimates, Factors, ObjectTable, Request, estimate, unoccluded};
+use twopass::form_factor::{Casting, Estimates, Factors, ObjectTable, Request, cast, estimate, unoccluded};
 use twopass::mesh::{Mesh, Sides};
 use twopass::scene::Scene;
 use twopass::visibility::Visibility;
@@ -362,6 +362,96 @@ fn oracle_occluded_pairs_by_cells() {
         }
     }
     assert!(cells > 10_000, "{cells}");
+}
+
+/// A strip looks at a ceiling over the edge of a shelf, two centimetres below it and level with the strip's upper edge: what it
+/// sees begins and ends within five millimetres of a metre's length. Exact: Lambert's formula for what is left of the
+/// ceiling, in 100,000 points of the strip.
+#[test]
+fn a_view_that_opens_along_an_edge() {
+    let shelf = vec![[0.1, -1.0, 0.0], [2.0, -1.0, 0.0], [2.0, 2.0, 0.0], [0.1, 2.0, 0.0]];
+    let ceiling = |end: f64| vec![[0.5, 0.0, 0.02], [0.5, 1.0, 0.02], [end, 1.0, 0.02], [end, 0.0, 0.02]];
+    let strip = vec![[0.0, 0.0, -0.01], [0.0, 1.0, -0.01], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]];
+    let far = vec![[0.0, 0.0, -9.0], [0.0, 9.0, -9.0], [9.0, 9.0, -9.0], [9.0, 0.0, -9.0]];
+    let scene = scene(&[
+        ("strip", vec![strip.clone()]),
+        ("ceiling", vec![ceiling(1.5)]),
+        ("shelf", vec![shelf]),
+        ("far", vec![far]),
+    ]);
+    let device = device();
+    let visibility = Visibility::new(&device, &scene).expect("tree");
+    let mesh = Mesh::new(&scene, &Sides::fronts(&scene), 1.0, true).expect("mesh");
+    let asked = Request { error: Some(0.001), floor: 1e-9, by_object: false, ..request(16, 1) };
+    let found = estimate(&visibility, &mesh, &asked);
+    let table = found.table(&scene, &mesh, 0.0);
+    let (n, m) = (1000, 100);
+    let points = (0..n * m).map(|k| {
+        let z = -0.005 * ((k / m) as f64 + 0.5) / n as f64;
+        let end = (0.1 * (0.02 - z) / -z).min(1.5);
+        let point = DVec3::new(0.0, ((k % m) as f64 + 0.5) / m as f64, z);
+        if end > 0.5 { differential(point, DVec3::X, &poly(&ceiling(end))) } else { 0.0 }
+    });
+    let exact = 0.5 * points.sum::<f64>() / (n * m) as f64;
+    let f = table.form_factors[0][1];
+    let free = exchange(&poly(&ceiling(1.5)), &poly(&strip), EXACT) / 0.01;
+    eprintln!("{f:.6e} by cells, {exact:.6e} exact, {free:.6e} without the shelf; {} elements", mesh.len());
+    assert!((f / exact - 1.0).abs() < 0.001 && exact < 0.5 * free, "{f} {exact}");
+}
+
+/// Two plates with 48 small ones between: up to so many bodies hide elements from each other. What each element sees of the
+/// other plate agrees with hemisphere rays: 72 such sums, each within [`T15`] errors of the rays (15 degrees of freedom) and a
+/// thousandth.
+#[test]
+fn many_bodies_by_cells() {
+    let plate = |k: usize| {
+        let (i, j, l) = ((k % 4) as f64, (k / 4 % 4) as f64, (k / 16) as f64);
+        let (x, y, z) = (0.05 + 0.25 * i + 0.03 * l, 0.04 + 0.23 * j, 0.2 + 0.25 * l + 0.02 * i);
+        let (w, h) = (0.1 + 0.02 * j, 0.12);
+        vec![[x, y, z], [x + w, y, z + 0.05], [x + w, y + h, z + 0.05], [x, y + h, z]]
+    };
+    let scene = scene(&[
+        ("a", vec![square(0.0, true)]),
+        ("b", vec![square(1.0, false)]),
+        ("plates", (0..48).map(plate).collect()),
+    ]);
+    let device = device();
+    let visibility = Visibility::new(&device, &scene).expect("tree");
+    let mesh = Mesh::new(&scene, &Sides::fronts(&scene), 0.17, true).expect("mesh");
+    let asked = Request { error: Some(0.01), floor: 1e-6, by_object: false, ..request(16, 1) };
+    let found = estimate(&visibility, &mesh, &asked);
+    let pairs = found.pairs().expect("an error was asked for");
+    eprintln!("{} elements, {:?}", mesh.len(), pairs.counts);
+    assert_eq!((pairs.counts.shadows, pairs.counts.rays, pairs.counts.missed), (0, 0, 0));
+    let casting = Casting {
+        rays: 131_072,
+        batches: 16,
+        seed: 3,
+        specular: false,
+        reached: None,
+        emitters: None,
+        progress: &|_| (),
+    };
+    let rows = cast(&visibility, &mesh, &casting).0;
+    let object = |e: usize| scene.faces[mesh.place(e as u32).0 as usize].object;
+    let (mut worst, mut largest): (f64, f64) = (0.0, 0.0);
+    for i in (0..mesh.len()).filter(|i| object(*i) < 2) {
+        let other = 1 - object(i);
+        let sum: f64 = pairs.row(i).filter(|(j, _)| object(*j) == other).map(|(_, f)| f).sum();
+        let seen = |b: usize| -> f64 {
+            rows.batch(i, b).filter(|(j, _)| object(*j) == other).map(|(_, f)| 16.0 * f.x).sum()
+        };
+        let batches: Vec<f64> = (0..16).map(seen).collect();
+        let mean = batches.iter().sum::<f64>() / 16.0;
+        let error = (batches.iter().map(|f| (f - mean).powi(2)).sum::<f64>() / (16.0 * 15.0)).sqrt();
+        assert!(
+            (sum - mean).abs() <= T15 * error + 1e-3 * mean,
+            "element {i}: {sum}, rays {mean} +- {error}"
+        );
+        (worst, largest) = (worst.max((sum - mean).abs() / mean), largest.max(error / mean));
+    }
+    eprintln!("sums off by {worst:.1e} at most, the rays' errors {largest:.1e}");
+    assert!(largest < 0.015);
 }
 
 /// A room with a box, as a file of few faces that are cut into elements and as a file of as many faces as elements: the same factors.

@@ -28,6 +28,7 @@ impl FewPairs {
         let n = mesh.len();
         let found: Vec<rows::Row> = elements
             .par_iter()
+            .with_max_len(1)
             .map_init(rows::Scratch::default, |scratch, i| shared.row(scratch, *i as usize, 0..n))
             .collect();
         let mut few = FewPairs { elements, n, exchange: Vec::new(), counts: PairCounts::default(), rays: 0 };
