@@ -50,6 +50,9 @@ pub const MOST_SURFACES: usize = 1024;
 /// Most elements whose pairs are held: 100 MB.
 pub const MOST_ELEMENTS: usize = 4096;
 
+/// Largest rest of a row that may be an error of its factors.
+const CLOSED: f64 = 1e-3;
+
 /// Rays that look for what lies between, all pairs together.
 const LOOKS: usize = 1 << 21;
 
@@ -235,7 +238,7 @@ impl PairFactors {
     }
 
     /// What the factors of row i leave of 1, shared between escaped and absorbed as the hemisphere rays of `row` were;
-    /// all escaped without these.
+    /// all escaped without these, and where these met no gap although much is left.
     pub fn rest(&self, i: usize, row: Option<&RowSummary>) -> RowSummary {
         let rest = (1.0 - self.row(i).map(|(_, f)| f).sum::<f64>()).max(0.0);
         let mut found = RowSummary { exposed: 1.0, ..row.copied().unwrap_or_default() };
@@ -246,6 +249,9 @@ impl PairFactors {
         if lost > 0.0 {
             found.escaped *= rest / lost;
             found.absorbed *= rest / lost;
+        } else if rest > CLOSED {
+            // Too few rays to meet the gap.
+            found.escaped = Rgb::splat(rest);
         }
         found
     }
