@@ -178,20 +178,21 @@ impl Cells {
         while doubt > accuracy.allowed(share(seen, whole)) * whole && self.cells.len() < MOST_HALVED {
             let Some((bits, k)) = self.worst.pop() else { break };
             let cell = self.cells[k];
-            let halves = cell.polygon.halves_across(cell.value.across);
-            let mut halves = halves.map(|half| {
-                half.map(|polygon| Cell { polygon, value: self.value(&polygon, target), moved: 0.0 })
+            // As narrow as rounding, a cell stays as it is, and its doubt with it.
+            let [Some(first), Some(second)] = cell.polygon.halves_across(cell.value.across) else { continue };
+            let mut halves = [first, second].map(|polygon| Cell {
+                polygon,
+                value: self.value(&polygon, target),
+                moved: 0.0,
             });
-            let mut change = (-cell.value.seen, -cell.value.whole);
-            for half in halves.iter().flatten() {
-                change.0 += half.value.seen;
-                change.1 += half.value.whole;
-            }
+            let before = (cell.value.seen, cell.value.whole);
+            let [first, second] = halves.map(|half| (half.value.seen, half.value.whole));
+            let change = (first.0 + second.0 - before.0, first.1 + second.1 - before.1);
             seen += change.0;
             whole += change.1;
             doubt -= f64::from_bits(bits);
             let mut place = k;
-            for half in halves.iter_mut().flatten() {
+            for half in &mut halves {
                 half.moved = (change.0 - now * change.1).abs();
                 let own = half.doubt(now);
                 doubt += own;
