@@ -5,6 +5,7 @@
 //! own (exclusive or), below the leading bits that [`cell_bits`] allows. So each has the points that it would have
 //! alone, and the errors of neighbours are uncorrelated.
 
+use super::guide::Guide;
 use super::landing::{EMITTER, SPECULAR};
 use super::{Context, Method, Quality, Sampler};
 use crate::color::Rgb;
@@ -33,12 +34,14 @@ pub(super) struct Spot<'m> {
 
 /// One side of a spot, over which light arrives.
 #[derive(Clone, Copy)]
-struct Receiver {
+struct Receiver<'g> {
     face: u32,
     point: DVec3,
     origin: Vec3,
     normal: DVec3,
     sampler: Sampler,
+    /// Where its light comes from, as far as that is known.
+    guide: Option<&'g Guide>,
 }
 
 impl Context<'_, '_> {
@@ -99,6 +102,7 @@ impl Context<'_, '_> {
                 origin: self.visibility.leave(s.at.face, s.at.point, side * s.at.geometric),
                 normal: side * s.normal,
                 sampler: if side > 0.0 { s.sampler } else { s.sampler.branch(7) },
+                guide: if gather { self.guide(&s.at, side) } else { None },
             })
             .collect();
         if receivers.is_empty() {
@@ -177,7 +181,8 @@ impl Context<'_, '_> {
         let mut sum = [Rgb::ZERO; LANES];
         let mut packet = RayPacket::new();
         for base in (0..count).step_by(numbers.points()) {
-            let rays = bases.rays(&numbers.of(base, count));
+            let (points, weights) = self.guided(receivers, &numbers, numbers.of(base, count));
+            let rays = bases.rays(&points);
             let active = numbers.lanes(count - base).fold(0u16, |bits, lane| bits | 1 << lane);
             self.cast(active.count_ones());
             packet.fill(&rays, active);
@@ -186,45 +191,76 @@ impl Context<'_, '_> {
                 let r = numbers.receiver(lane);
                 let &Receiver { face, origin, normal, sampler, .. } = &receivers[r];
                 let direction = rays.direction(lane);
-                let Some(hit) = self.visibility.lane(&packet, lane, origin, direction, face) else {
-                    sum[r] += self.scene.environment;
-                    continue;
+                let radiance = match self.visibility.lane(&packet, lane, origin, direction, face) {
+                    None => self.scene.environment,
+                    Some(hit) => {
+                        let number =
+                            sampler.index.wrapping_mul(count).wrapping_add(numbers.point(lane, base));
+                        let ray = (origin, direction, hit);
+                        self.arriving(&chains, ray, normal, (number, sampler.branch(9).seed))
+                    }
                 };
-                let kind = self.landings.kind(&hit);
-                sum[r] += self.interpolated(&hit);
-                if kind == 0 {
-                    continue;
-                }
-                let first = direction.as_dvec3();
-                if kind & EMITTER != 0 {
-                    let length = self.visibility.point(&hit).point.distance(origin.as_dvec3());
-                    sum[r] += self.emitted(&hit, length, first, first.dot(normal));
-                }
-                if kind & SPECULAR != 0 {
-                    let point = numbers.point(lane, base);
-                    let number = sampler.index.wrapping_mul(count).wrapping_add(point);
-                    let mut arriving = Rgb::ZERO;
-                    let end = chains.follow(
-                        Carried::Radiance,
-                        (origin, direction, hit),
-                        (number, sampler.branch(9).seed),
-                        |link: &Link| {
-                            let Link { hit, weight, passage, length, direction } = *link;
-                            let mut radiance = self.interpolated(&hit);
-                            // Emission by longer chains is in the caustic part of the solution.
-                            if passage != Passage::Chain {
-                                radiance += self.emitted(&hit, length, direction, first.dot(normal));
-                            }
-                            arriving += weight * radiance;
-                        },
-                    );
-                    self.cast(end.rays);
-                    sum[r] += arriving + end.escaped * self.scene.environment;
-                }
+                sum[r] += f64::from(weights[lane]) * radiance;
             }
         }
         let scale = PI / f64::from(count.max(1));
         irradiance.iter_mut().zip(sum).for_each(|(h, s)| *h += s * scale);
+    }
+
+    /// Points of a packet's lanes moved to where their receivers' light comes from, and what the rays then weigh.
+    #[inline]
+    fn guided(
+        &self,
+        receivers: &[Receiver],
+        numbers: &Numbers,
+        mut points: [[f32; LANES]; 3],
+    ) -> ([[f32; LANES]; 3], [f32; LANES]) {
+        let mut weights = [1.0; LANES];
+        if self.guides.is_some() {
+            for lane in 0..LANES {
+                if let Some(guide) = receivers.get(numbers.receiver(lane)).and_then(|r| r.guide) {
+                    ([points[0][lane], points[1][lane]], weights[lane]) =
+                        guide.warp(points[0][lane], points[1][lane]);
+                }
+            }
+        }
+        (points, weights)
+    }
+
+    /// Radiance that a hemisphere ray from a point with this `normal` brings from where it met a surface, of emission as far as
+    /// the emitters' own samples leave it [W m^-2 sr^-1]. The point and the seed name random numbers.
+    #[inline(always)]
+    pub(super) fn arriving(
+        &self,
+        chains: &Chains,
+        (origin, direction, hit): (Vec3, Vec3, SurfaceHit),
+        normal: DVec3,
+        random: (u32, u32),
+    ) -> Rgb {
+        let kind = self.landings.kind(&hit);
+        let mut radiance = self.interpolated(&hit);
+        if kind == 0 {
+            return radiance;
+        }
+        let first = direction.as_dvec3();
+        if kind & EMITTER != 0 {
+            let length = self.visibility.point(&hit).point.distance(origin.as_dvec3());
+            radiance += self.emitted(&hit, length, first, first.dot(normal));
+        }
+        if kind & SPECULAR != 0 {
+            let end = chains.follow(Carried::Radiance, (origin, direction, hit), random, |link: &Link| {
+                let Link { hit, weight, passage, length, direction } = *link;
+                let mut found = self.interpolated(&hit);
+                // Emission by longer chains is in the caustic part of the solution.
+                if passage != Passage::Chain {
+                    found += self.emitted(&hit, length, direction, first.dot(normal));
+                }
+                radiance += weight * found;
+            });
+            self.cast(end.rays);
+            radiance += end.escaped * self.scene.environment;
+        }
+        radiance
     }
 
     /// Emission of a surface on a hemisphere ray's way, as far as the emitters' own samples leave it. `length` is that of the

@@ -2,6 +2,7 @@
 
 mod block;
 mod diffuse;
+mod guide;
 mod landing;
 mod lobe;
 mod path;
@@ -17,6 +18,7 @@ use crate::scene::{Camera, CameraFrame, Scene};
 use crate::visibility::Visibility;
 use block::BLOCK;
 use glam::{DVec2, DVec3, Vec3};
+use guide::Guides;
 use landing::Landings;
 use rayon::prelude::*;
 use std::cell::Cell;
@@ -110,6 +112,7 @@ pub(crate) struct Context<'a, 's> {
     emitters: &'a Emitters,
     solution: Option<&'a Solution>,
     landings: &'a Landings,
+    guides: Option<&'a Guides>,
     settings: Settings,
     /// Work so far, `dropped` summed over all samples.
     work: Cell<Traced>,
@@ -254,7 +257,7 @@ pub fn render(
     settings: &Settings,
     progress: &(dyn Fn(u64) + Sync),
 ) -> (Image, Traced) {
-    let shader = Shader::new(visibility, emitters, solution, settings);
+    let shader = Shader::new(visibility, emitters, solution, camera, settings);
     film(visibility.scene(), camera, progress, |frame, pixels| shader.block(frame, pixels))
 }
 
@@ -266,7 +269,7 @@ pub fn render_pixels(
     (camera, pixels): (&Camera, &[[u32; 2]]),
     settings: &Settings,
 ) -> (Vec<Rgb>, u64) {
-    let shader = Shader::new(visibility, emitters, solution, settings);
+    let shader = Shader::new(visibility, emitters, solution, camera, settings);
     let frame = camera.frame(visibility.scene());
     let shaded: Vec<(Vec<Rgb>, Traced)> = pixels
         .par_iter()
@@ -282,6 +285,7 @@ struct Shader<'a, 's> {
     emitters: &'a Emitters,
     solution: Option<&'a Solution>,
     landings: Landings,
+    guides: Option<Guides>,
     settings: Settings,
     /// Settings of pixels that see a mirror or glass first; none where they are the same.
     finer: Option<Settings>,
@@ -292,6 +296,7 @@ impl<'a, 's> Shader<'a, 's> {
         visibility: &'a Visibility<'s>,
         emitters: &'a Emitters,
         solution: Option<&'a Solution>,
+        camera: &Camera,
         settings: &Settings,
     ) -> Shader<'a, 's> {
         let scene = visibility.scene();
@@ -310,12 +315,14 @@ impl<'a, 's> Shader<'a, 's> {
         let looks = gathers && scene.faces.iter().any(|f| scene.material(f).has_perfect_lobe());
         let landings = Landings::new(scene, emitters, solution);
         let finer = looks.then_some(finer);
-        Shader { visibility, emitters, solution, landings, settings: *settings, finer }
+        let guides = solution.and_then(|s| Guides::new(visibility, s, camera, settings));
+        Shader { visibility, emitters, solution, landings, guides, settings: *settings, finer }
     }
 
     /// Mean radiance over pixels of one block [W m^-2 sr^-1], and what it took; what was dropped is summed over the pixels.
     fn block(&self, frame: &CameraFrame, pixels: &[(u32, u32)]) -> (Vec<Rgb>, Traced) {
-        let &Shader { visibility, emitters, solution, ref landings, settings, .. } = self;
+        let &Shader { visibility, emitters, solution, ref landings, ref guides, settings, .. } = self;
+        let guides = guides.as_ref();
         let scene = visibility.scene();
         let context = |settings| Context {
             scene,
@@ -323,6 +330,7 @@ impl<'a, 's> Shader<'a, 's> {
             emitters,
             solution,
             landings,
+            guides,
             settings,
             work: Cell::default(),
         };
