@@ -3,7 +3,7 @@
 use super::record::{Chart, PARAMETER, Subject, Unit};
 use super::view::{ERROR, SPP, View, pass1, settings};
 use crate::image::{self, WriteOptions};
-use crate::render::{Method, Quality, render};
+use crate::render::{Method, Quality, Renderer};
 use crate::scene::Camera;
 use crate::sequence::render_frames;
 use crate::{Error, Result};
@@ -35,9 +35,11 @@ pub(super) fn frames(stage: &View, name: &str) -> Result<Subject> {
         for quality in [Quality::Mesh, Quality::Direct] {
             for spp in [1, 4] {
                 let settings = settings(Method::TwoPass(quality), spp, seed);
+                let renderer =
+                    Renderer::new(stage.visibility, stage.emitters, Some(&solution), [SIZE; 2], &settings);
                 let trace = |frame: u32| {
                     let camera = moved(stage.camera, f64::from(frame) / f64::from(count));
-                    render(stage.visibility, stage.emitters, Some(&solution), &camera, &settings, &|_| ())
+                    renderer.render(&camera, &|_| ())
                 };
                 let path = |frame: u32| folder.path().join(format!("{frame}.exr"));
                 let options = WriteOptions::default();

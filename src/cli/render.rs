@@ -12,13 +12,14 @@ use crate::image::{self, Image, WriteOptions};
 use crate::memory::Factors;
 use crate::pipeline::{self, Pass1, Pass1Result, Stage};
 use crate::radiosity::{Reads, Solution};
-use crate::render::{Estimator, Method, Quality, Settings, cut_off, render, render_directional};
+use crate::render::{Estimator, Method, Quality, Renderer, Settings, cut_off, render_directional};
 use crate::report::{KeptReport, Pass1Report, Report, Versions, command_line};
 use crate::scene::{Camera, Scene, load};
 use crate::sequence::{FrameTime, render_frames};
 use crate::visibility::Visibility;
 use crate::{Error, Result};
 use std::path::PathBuf;
+use std::sync::LazyLock;
 
 pub fn run(args: &RenderArgs) -> Result<()> {
     let patterns = outputs(args)?;
@@ -100,12 +101,14 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         pass1 = Some(result);
     }
     let solution = kept.as_ref().map(|k| &k.solution).or(pass1.as_ref().map(|p| &p.solution));
+    let renderer =
+        LazyLock::new(|| Renderer::new(&visibility, &emitters, solution, cameras[0].1.size, &settings));
     let picture = |camera: &Camera| match &directional {
         Some(solution) => {
             let samples = (settings.spp, settings.seed);
             render_directional(&visibility, &emitters, solution, camera, samples, &advance)
         }
-        None => render(&visibility, &emitters, solution, camera, &settings, &advance),
+        None => renderer.render(camera, &advance),
     };
 
     image::ready()?;
@@ -164,7 +167,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         ));
         report.pass1 = Some(pass1);
     }
-    if let (Some(kept), Some(path)) = (kept, &args.solution) {
+    if let (Some(kept), Some(path)) = (&kept, &args.solution) {
         let file = path.display().to_string();
         let mesh = &kept.solution.mesh;
         progress.line(&format!(
@@ -172,7 +175,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
             mesh.len(),
             mesh.element_size
         ));
-        report.solution = Some(KeptReport { file, about: kept.about });
+        report.solution = Some(KeptReport { file, about: kept.about.clone() });
     }
     if let Some(path) = &args.report {
         report.write(path)?;

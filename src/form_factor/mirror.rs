@@ -145,12 +145,8 @@ struct Images<'a, 's> {
 
 impl Images<'_, '_> {
     fn row(&self, element: u32, batches: u32, per_batch: u32) -> Row {
-        let scene = self.visibility.scene();
-        let (face, _, cell) = self.mesh.place(element);
-        let (p0, e1, e2) = scene.face_frame(&scene.faces[face as usize]);
-        let grid = self.mesh.grid(face);
-        let (cell, normal) = (grid.cell_frame(cell), self.mesh.normal(scene, element));
-        let frame = Frame::new(normal);
+        let place = self.mesh.place_of(self.visibility.scene(), element);
+        let frame = Frame::new(place.normal);
         let scale = 1.0 / f64::from(batches * per_batch);
         let mut row = Row { batches: Vec::new(), summary: RowSummary::default(), rays: 0 };
         row.summary.exposed = 1.0;
@@ -159,10 +155,9 @@ impl Images<'_, '_> {
             let seed = seed_of(&[self.seed, element, batch, 0x1a6e]);
             for k in 0..per_batch {
                 let u = sobol(k, 0, seed);
-                let uv = grid.cell_point(&cell, u[0], u[1]);
                 let direction = frame.to_scene(cosine_hemisphere(u[2], u[3]));
-                let start = p0 + uv.x * e1 + uv.y * e2;
-                self.look((start, normal, face), direction, scale, &mut sums, &mut row);
+                let start = self.visibility.start(&place, u[0], u[1]);
+                self.look((start, place.normal, place.face), direction, scale, &mut sums, &mut row);
             }
             row.batches.push(sums);
         }

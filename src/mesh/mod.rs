@@ -8,11 +8,13 @@ mod division;
 mod grid;
 mod lattice;
 mod patch;
+mod place;
 
 pub use division::Division;
 pub use grid::Grid;
 pub use lattice::{CellFrame, Lattice};
 pub use patch::Nodes;
+pub use place::Place;
 
 use crate::scene::{Face, Scene};
 use crate::{Error, Result};

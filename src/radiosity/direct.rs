@@ -50,11 +50,8 @@ struct Sampler<'a, 's> {
 impl Sampler<'_, '_> {
     fn batch(&self, element: u32, batch: u32, count: u32) -> EmitterIrradiance {
         let scene = self.visibility.scene();
-        let (face, _, cell) = self.mesh.place(element);
-        let (p0, e1, e2) = scene.face_frame(&scene.faces[face as usize]);
-        let grid = self.mesh.grid(face);
-        let frame = grid.cell_frame(cell);
-        let normal = self.mesh.normal(scene, element);
+        let place = self.mesh.place_of(scene, element);
+        let (face, normal) = (place.face, place.normal);
         let seed = seed_of(&[self.seed, element, batch, 0xe817]);
         let mut sum = EmitterIrradiance::default();
         let mut packet = ShadowPacket::new();
@@ -72,9 +69,7 @@ impl Sampler<'_, '_> {
             };
         for k in 0..count {
             let (p, q) = (sobol(k, 0, seed), sobol(k, 1, seed));
-            let uv = grid.cell_point(&frame, p[0], p[1]);
-            let uv = glam::DVec2::from(self.visibility.inside(face, uv.x, uv.y));
-            let point = p0 + uv.x * e1 + uv.y * e2;
+            let point = self.visibility.start(&place, p[0], p[1]);
             let Some(sample) = self.emitters.sample([q[0], p[2], p[3]]) else { break };
             let share = |c: &crate::emitters::Connection| {
                 mis_share(

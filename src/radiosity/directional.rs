@@ -318,19 +318,15 @@ impl Tracer<'_, '_> {
     /// One ray through each cell, from points all over the element.
     fn links(&self, element: u32) -> Vec<Link> {
         let scene = self.visibility.scene();
-        let (face, _, cell) = self.mesh.place(element);
-        let (p0, e1, e2) = scene.face_frame(&scene.faces[face as usize]);
-        let grid = self.mesh.grid(face);
-        let place = grid.cell_frame(cell);
-        let normal = self.mesh.normal(scene, element);
+        let place = self.mesh.place_of(scene, element);
+        let (face, normal) = (place.face, place.normal);
         let tangents = frame(scene, face);
         (0..self.hemisphere.cells())
             .map(|c| {
                 let p = sobol(c, 0, seed_of(&[self.seed, element, 0xd3]));
-                let uv = grid.cell_point(&place, p[0], p[1]);
                 let d = self.direction(element, c);
                 let direction = tangents.x * d.x + tangents.y * d.y + normal * d.z;
-                let origin = self.visibility.leave(face, p0 + uv.x * e1 + uv.y * e2, normal);
+                let origin = self.visibility.leave(face, self.visibility.start(&place, p[0], p[1]), normal);
                 let Some(hit) = self.visibility.closest(origin, direction.as_vec3(), face) else {
                     return Link { element: OUTSIDE, cell: 0 };
                 };

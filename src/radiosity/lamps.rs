@@ -167,11 +167,8 @@ impl<'a, 's> Lamps<'a, 's> {
 
     fn batch(&self, element: u32, chosen: &Chosen, count: u32, seed: u32) -> Sums {
         let scene = self.visibility.scene();
-        let (face, _, cell) = self.mesh.place(element);
-        let (p0, e1, e2) = scene.face_frame(&scene.faces[face as usize]);
-        let grid = self.mesh.grid(face);
-        let frame = grid.cell_frame(cell);
-        let normal = self.mesh.normal(scene, element);
+        let place = self.mesh.place_of(scene, element);
+        let (face, normal) = (place.face, place.normal);
         let mut sums = Sums::default();
         let mut packet = ShadowPacket::new();
         let mut pending = [Rgb::ZERO; LANES];
@@ -188,9 +185,7 @@ impl<'a, 's> Lamps<'a, 's> {
         };
         for k in 0..count {
             let (p, q) = (sobol(k, 0, seed), sobol(k, 1, seed));
-            let uv = grid.cell_point(&frame, p[0], p[1]);
-            let (u, v) = self.visibility.inside(face, uv.x, uv.y);
-            let point = p0 + u * e1 + v * e2;
+            let point = self.visibility.start(&place, p[0], p[1]);
             let (which, share) = chosen.pick(q[0]);
             let lamp = &self.lamps[which];
             let Some((target, density)) = lamp.sample(point, p[2], p[3]) else { continue };

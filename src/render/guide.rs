@@ -12,9 +12,8 @@ use crate::geometry::Frame;
 use crate::mesh::{Mesh, NONE};
 use crate::radiosity::Solution;
 use crate::sampling::{cosine_hemisphere, seed_of, sobol};
-use crate::scene::Camera;
+use crate::scene::{Camera, Scene};
 use crate::visibility::{SurfacePoint, Visibility};
-use glam::DVec2;
 use rayon::prelude::*;
 use std::sync::OnceLock;
 
@@ -122,25 +121,20 @@ pub(super) struct Guides {
     patches: Mesh,
     /// None where an even density is as good.
     made: Vec<OnceLock<Option<Box<Guide>>>>,
+    /// Patches whose densities take no more than [`SHARE`] of the rays of an image.
+    most: f64,
 }
 
 impl Guides {
-    /// None where the settings do not gather, or where the patches in sight are so many that making their densities would
-    /// take too long.
-    pub fn new(
-        visibility: &Visibility,
-        solution: &Solution,
-        camera: &Camera,
-        settings: &Settings,
-    ) -> Option<Guides> {
+    /// For images of `size` pixels; none where the settings do not gather.
+    pub fn new(scene: &Scene, solution: &Solution, size: [u32; 2], settings: &Settings) -> Option<Guides> {
         if settings.method != Method::TwoPass(Quality::Gather) {
             return None;
         }
-        let [width, height] = camera.size;
+        let [width, height] = size;
         let gathering =
             f64::from(width) * f64::from(height) * f64::from(settings.spp) * f64::from(settings.gather_rays);
         let most = SHARE * gathering / f64::from(RAYS);
-        let scene = visibility.scene();
         let mesh = &solution.mesh;
         let mut patches = Mesh::patches(scene, &mesh.sides(), mesh.element_size).ok()?;
         for _ in 0..3 {
@@ -149,12 +143,18 @@ impl Guides {
                 patches = Mesh::patches(scene, &mesh.sides(), patches.element_size * many.sqrt()).ok()?;
             }
         }
-        // More where faces are smaller than patches: those out of sight are not made.
-        if patches.len() as f64 > most && in_sight(visibility, camera, &patches) as f64 > most {
-            return None;
-        }
         let made = (0..patches.len()).map(|_| OnceLock::new()).collect();
-        Some(Guides { patches, made })
+        Some(Guides { patches, made, most })
+    }
+
+    /// Whether the patches that a camera sees are few enough, and the rays that found out.
+    pub fn are_worth(&self, visibility: &Visibility, camera: &Camera) -> (bool, u64) {
+        if self.patches.len() as f64 <= self.most {
+            return (true, 0);
+        }
+        // More where faces are smaller than patches: those out of sight are not made.
+        let rays = u64::from(camera.size[0]) * u64::from(camera.size[1]);
+        (in_sight(visibility, camera, &self.patches) as f64 <= self.most, rays)
     }
 }
 
@@ -184,20 +184,15 @@ impl Context<'_, '_> {
     }
 
     fn make_guide(&self, patches: &Mesh, patch: u32) -> Option<Box<Guide>> {
-        let (face, _, cell) = patches.place(patch);
-        let (p0, e1, e2) = self.scene.face_frame(&self.scene.faces[face as usize]);
-        let grid = patches.grid(face);
-        let place = grid.cell_frame(cell);
-        let normal = patches.normal(self.scene, patch);
+        let place = patches.place_of(self.scene, patch);
+        let (face, normal) = (place.face, place.normal);
         let frame = Frame::new(normal);
         let seed = seed_of(&[self.settings.seed, patch, 0x601de]);
         let chains = Chains::new(self.visibility, Some(self.emitters));
         let mut squares = [[0.0; CELLS]; CELLS];
         for k in 0..RAYS {
             let [u, v, s, t] = sobol(k, 0, seed);
-            let uv = grid.cell_point(&place, s, t);
-            let uv = DVec2::from(self.visibility.inside(face, uv.x, uv.y));
-            let origin = self.visibility.leave(face, p0 + uv.x * e1 + uv.y * e2, normal);
+            let origin = self.visibility.leave(face, self.visibility.start(&place, s, t), normal);
             let direction = frame.to_scene(cosine_hemisphere(u, v)).as_vec3();
             let radiance = match self.visibility.closest(origin, direction, face) {
                 Some(hit) => self.arriving(&chains, (origin, direction, hit), normal, (k, seed)),

@@ -257,8 +257,7 @@ pub fn render(
     settings: &Settings,
     progress: &(dyn Fn(u64) + Sync),
 ) -> (Image, Traced) {
-    let shader = Shader::new(visibility, emitters, solution, camera, settings);
-    film(visibility.scene(), camera, progress, |frame, pixels| shader.block(frame, pixels))
+    Renderer::new(visibility, emitters, solution, camera.size, settings).render(camera, progress)
 }
 
 /// Some pixels of an image alone, (column, row) from the top left: what [`render`] gives for them, and the rays cast.
@@ -269,18 +268,20 @@ pub fn render_pixels(
     (camera, pixels): (&Camera, &[[u32; 2]]),
     settings: &Settings,
 ) -> (Vec<Rgb>, u64) {
-    let shader = Shader::new(visibility, emitters, solution, camera, settings);
+    let renderer = Renderer::new(visibility, emitters, solution, camera.size, settings);
+    let (guides, looks) = renderer.guides_of(camera);
     let frame = camera.frame(visibility.scene());
     let shaded: Vec<(Vec<Rgb>, Traced)> = pixels
         .par_iter()
         .with_min_len(TILE as usize)
-        .map(|[x, y]| shader.block(&frame, &[(*x, *y)]))
+        .map(|[x, y]| renderer.block(&frame, guides, &[(*x, *y)]))
         .collect();
-    (shaded.iter().flat_map(|s| s.0.iter().copied()).collect(), shaded.iter().map(|s| s.1.rays).sum())
+    let rays: u64 = shaded.iter().map(|s| s.1.rays).sum();
+    (shaded.iter().flat_map(|s| s.0.iter().copied()).collect(), looks + rays)
 }
 
-/// Shades block after block of pixels.
-struct Shader<'a, 's> {
+/// Renders images of one size, one after the other, and keeps what they share.
+pub struct Renderer<'a, 's> {
     visibility: &'a Visibility<'s>,
     emitters: &'a Emitters,
     solution: Option<&'a Solution>,
@@ -291,14 +292,15 @@ struct Shader<'a, 's> {
     finer: Option<Settings>,
 }
 
-impl<'a, 's> Shader<'a, 's> {
-    fn new(
+impl<'a, 's> Renderer<'a, 's> {
+    /// For images of `size` pixels; else as [`render`].
+    pub fn new(
         visibility: &'a Visibility<'s>,
         emitters: &'a Emitters,
         solution: Option<&'a Solution>,
-        camera: &Camera,
+        size: [u32; 2],
         settings: &Settings,
-    ) -> Shader<'a, 's> {
+    ) -> Renderer<'a, 's> {
         let scene = visibility.scene();
         // As many hemisphere rays a pixel in all.
         let finer = Settings {
@@ -315,14 +317,33 @@ impl<'a, 's> Shader<'a, 's> {
         let looks = gathers && scene.faces.iter().any(|f| scene.material(f).has_perfect_lobe());
         let landings = Landings::new(scene, emitters, solution);
         let finer = looks.then_some(finer);
-        let guides = solution.and_then(|s| Guides::new(visibility, s, camera, settings));
-        Shader { visibility, emitters, solution, landings, guides, settings: *settings, finer }
+        let guides = solution.and_then(|s| Guides::new(scene, s, size, settings));
+        Renderer { visibility, emitters, solution, landings, guides, settings: *settings, finer }
+    }
+
+    /// [`render`], from one camera: what it gives does not depend on what was rendered before.
+    pub fn render(&self, camera: &Camera, progress: &(dyn Fn(u64) + Sync)) -> (Image, Traced) {
+        let (guides, looks) = self.guides_of(camera);
+        let shade = |frame: &CameraFrame, pixels: &[(u32, u32)]| self.block(frame, guides, pixels);
+        let (image, traced) = film(self.visibility.scene(), camera, progress, shade);
+        (image, Traced { rays: traced.rays + looks, ..traced })
+    }
+
+    /// Where a camera's patches are worth the rays of their densities, these, and the rays that looked for the patches.
+    fn guides_of(&self, camera: &Camera) -> (Option<&Guides>, u64) {
+        let Some(guides) = &self.guides else { return (None, 0) };
+        let (worth, rays) = guides.are_worth(self.visibility, camera);
+        (worth.then_some(guides), rays)
     }
 
     /// Mean radiance over pixels of one block [W m^-2 sr^-1], and what it took; what was dropped is summed over the pixels.
-    fn block(&self, frame: &CameraFrame, pixels: &[(u32, u32)]) -> (Vec<Rgb>, Traced) {
-        let &Shader { visibility, emitters, solution, ref landings, ref guides, settings, .. } = self;
-        let guides = guides.as_ref();
+    fn block(
+        &self,
+        frame: &CameraFrame,
+        guides: Option<&Guides>,
+        pixels: &[(u32, u32)],
+    ) -> (Vec<Rgb>, Traced) {
+        let &Renderer { visibility, emitters, solution, ref landings, settings, .. } = self;
         let scene = visibility.scene();
         let context = |settings| Context {
             scene,

@@ -10,6 +10,7 @@ pub use reach::reachable_sides;
 
 use crate::Result;
 use crate::embree::{CommittedScene, Device, Ray, RayPacket, ShadowPacket};
+use crate::mesh::Place;
 use crate::scene::{Face, Scene};
 use glam::{DVec2, DVec3, Vec3};
 use offset::Offset;
@@ -112,6 +113,13 @@ impl<'s> Visibility<'s> {
     #[inline]
     pub fn inside(&self, face: u32, u: f64, v: f64) -> (f64, f64) {
         self.offsets[face as usize].inside(u, v)
+    }
+
+    /// The point of an element for (s, t) uniform in the unit square, drawn in from where rays may not start \[m\].
+    #[inline]
+    pub fn start(&self, place: &Place, s: f64, t: f64) -> DVec3 {
+        let uv = place.uv(s, t);
+        place.at(self.inside(place.face, uv.x, uv.y).into())
     }
 
     /// Origin and edges in (u, v) of a cell of a face, drawn in from where rays may not start.

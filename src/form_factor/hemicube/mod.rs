@@ -204,19 +204,11 @@ fn stand(
     place: Option<DVec2>,
     turn: Option<f64>,
 ) -> (DVec3, [DVec3; 3], u32) {
-    let (face, _, cell) = mesh.place(element);
-    let eye = match place {
-        None => mesh.centroid(scene, element),
-        Some(p) => {
-            let grid = mesh.grid(face);
-            let uv = grid.cell_point(&grid.cell_frame(cell), p.x, p.y);
-            let (p0, e1, e2) = scene.face_frame(&scene.faces[face as usize]);
-            p0 + uv.x * e1 + uv.y * e2
-        }
-    };
-    let frame = Frame::new(mesh.normal(scene, element));
+    let at = mesh.place_of(scene, element);
+    let eye = place.map_or_else(|| mesh.centroid(scene, element), |p| at.at(at.uv(p.x, p.y)));
+    let frame = Frame::new(at.normal);
     let (sin, cos) = turn.unwrap_or(0.0).sin_cos();
-    (eye, [cos * frame.x + sin * frame.y, cos * frame.y - sin * frame.x, frame.z], face)
+    (eye, [cos * frame.x + sin * frame.y, cos * frame.y - sin * frame.x, frame.z], at.face)
 }
 
 /// Place in the unit square of one of `grid * grid` hemi-cubes, within its part at random with a seed; none: the centroid.

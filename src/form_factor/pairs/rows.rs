@@ -383,11 +383,8 @@ impl Shared<'_, '_> {
 
 /// The point of an element for (s, t) uniform in the unit square; uniform in area.
 pub(super) fn point_on(scene: &Scene, mesh: &Mesh, element: u32, s: f64, t: f64) -> DVec3 {
-    let (face, _, cell) = mesh.place(element);
-    let grid = mesh.grid(face);
-    let uv = grid.cell_point(&grid.cell_frame(cell), s, t);
-    let (p0, e1, e2) = scene.face_frame(&scene.faces[face as usize]);
-    p0 + uv.x * e1 + uv.y * e2
+    let place = mesh.place_of(scene, element);
+    place.at(place.uv(s, t))
 }
 
 impl Estimate {
