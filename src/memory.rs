@@ -1,5 +1,6 @@
 //! How much memory pass 1 needs, before it takes any, and how much there is.
 
+use crate::form_factor::Tiles;
 use crate::mesh::Mesh;
 use crate::{Error, Result};
 
@@ -17,7 +18,7 @@ const SHARE: f64 = 0.75;
 pub struct Need {
     /// Elements, solution and solver.
     pub elements: f64,
-    /// The matrix, at most.
+    /// The matrix, and its entries by tiles where these are made, at most.
     pub matrix: f64,
 }
 
@@ -27,7 +28,7 @@ pub struct Need {
 pub enum Factors {
     /// Kept in a matrix.
     Kept,
-    /// Cast again for each multiplication: slower, without a matrix, and with the same result, but never made reciprocal.
+    /// Cast again for each multiplication: slower, without a matrix, with the same factors, but never made reciprocal.
     CastAgain,
 }
 
@@ -43,7 +44,8 @@ impl Need {
         } else {
             (CHAIN * f64::from(rays)).min(n * f64::from(batches))
         };
-        Need { elements: n * (ELEMENT + more), matrix: n * row * 4.0 * (1 + channels) as f64 }
+        let again = if Tiles::are_worth(mesh.len(), batches as usize, channels == 0) { 1.0 } else { 0.0 };
+        Need { elements: n * (ELEMENT + more), matrix: n * row * 4.0 * (again + (1 + channels) as f64) }
     }
 
     /// The fastest way that fits `limit` bytes.

@@ -10,15 +10,24 @@ use twopass::scene::Scene;
 use twopass::visibility::Visibility;
 
 fn within(limit: u64, scene: &Scene) -> twopass::Result<Pass1Result> {
+    solve(limit, scene, (256, 0.1))
+}
+
+fn solve(limit: u64, scene: &Scene, (rays, element_size): (u32, f64)) -> twopass::Result<Pass1Result> {
     let device = device();
     let visibility = Visibility::new(&device, scene)?;
     let emitters = Emitters::new(&visibility);
-    let settings = Pass1 { rays: 256, element_size: Some(0.1), seed: 3 };
+    let settings = Pass1 { rays, element_size: Some(element_size), seed: 3 };
     pipeline::solve_within(Some(limit), &visibility, &emitters, &[], &settings, &|_| (), &mut Vec::new())
 }
 
 /// A room with a box in it, whose sides are made of `material`.
 fn room(material: &str) -> Scene {
+    paved_room(material, 0)
+}
+
+/// The same with `tiles` x `tiles` dark and bright tiles just above the floor.
+fn paved_room(material: &str, tiles: u32) -> Scene {
     let mut files = Files::default();
     files.diffuse("m", &[0.7, 0.5, 0.3], &[0.0]).diffuse("lamp", &[0.0], &[5.0]);
     files.material("box", material);
@@ -29,6 +38,13 @@ fn room(material: &str) -> Scene {
         files.polygon(&format!("box-{name}"), "box", &points);
     }
     files.polygon("lamp", "lamp", &[[0.4, 0.6, 0.9], [0.6, 0.6, 0.9], [0.6, 0.4, 0.9], [0.4, 0.4, 0.9]]);
+    files.diffuse("dark", &[0.1], &[0.0]);
+    for k in 0..tiles * tiles {
+        let [x, y] = [k % tiles, k / tiles].map(|i| f64::from(i) / f64::from(tiles));
+        let corner = |u: f64, v: f64| [x + u / f64::from(tiles), y + v / f64::from(tiles), 0.01];
+        let corners = [corner(0.0, 0.0), corner(1.0, 0.0), corner(1.0, 1.0), corner(0.0, 1.0)];
+        files.polygon(&format!("tile-{k}"), if (k / tiles + k) % 2 == 0 { "m" } else { "dark" }, &corners);
+    }
     files.load()
 }
 
@@ -58,4 +74,40 @@ fn rays_cast_again_give_the_same_solution() {
 fn too_little_is_refused() {
     let refused = within(1 << 10, &room("diffuse = 0.5")).err().expect("an error").to_string();
     assert!(refused.contains("--max-memory") && refused.contains("1.0 KiB"), "{refused}");
+}
+
+/// Many elements have a coarse grid, and more of them tiles, where the matrix is kept; neither where rays are cast again. The
+/// solutions are the same as far as they are solved, and so are their standard errors.
+#[test]
+fn coarse_grids_and_tiles_change_no_solution() {
+    for (name, material, tiles, size, least) in [
+        ("tiles", "diffuse = 0.5", 0, 0.007, 1 << 17),
+        ("many faces", "diffuse = 0.5", 20, 0.018, 1 << 14),
+        ("translucent", "diffuse = 0.2\ndiffuse_transmission = 0.6", 0, 0.018, 1 << 14),
+        ("gloss", "diffuse = 0.3\nspecular = [0.5, 0.4, 0.2]\nroughness = 0.4", 0, 0.018, 1 << 14),
+    ] {
+        let scene = paved_room(material, tiles);
+        let kept = solve(1 << 40, &scene, (8, size)).expect("solution");
+        let elements = kept.solution.mesh.len() as u64;
+        assert!(kept.factors == Factors::Kept && elements >= least, "{name}: {elements}");
+        let cast = solve(1701 * elements, &scene, (8, size)).expect("solution");
+        assert!(cast.factors == Factors::CastAgain, "{name}");
+        let (a, b) = (&kept.solution, &cast.solution);
+        let largest = a.radiosity.iter().map(|b| b.max_element()).fold(0.0, f64::max);
+        let apart = a.radiosity.iter().zip(&b.radiosity).map(|(a, b)| (*a - *b).abs().max_element());
+        let apart = apart.fold(0.0, f64::max) / largest;
+        println!(
+            "{name}: {elements} elements, {apart:.1e} apart, {} and {} steps",
+            a.convergence.iterations, b.convergence.iterations
+        );
+        assert!(apart < 1e-8, "{name}: {apart}");
+        let squares =
+            |s: &twopass::radiosity::Solution| s.standard_error.iter().map(|e| e.x * e.x).sum::<f64>();
+        let ratio = (squares(a) / squares(b)).sqrt();
+        assert!((ratio - 1.0).abs() < 0.02, "{name}: standard errors {ratio}");
+        for (a, b) in a.objects.iter().zip(&b.objects).filter(|(a, _)| a.standard_error.x > 0.0) {
+            let ratio = a.standard_error.x / b.standard_error.x;
+            assert!((0.9..1.1).contains(&ratio), "{name}: {} {ratio}", a.name);
+        }
+    }
 }

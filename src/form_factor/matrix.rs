@@ -78,6 +78,11 @@ impl ExchangeMatrix {
         blocks + self.summary.len() * size_of::<RowSummary>()
     }
 
+    /// Whether entries are counts of rays, without weights.
+    pub(super) fn counts_rays(&self) -> bool {
+        self.blocks.iter().all(Block::counts_rays)
+    }
+
     /// A row with its randomisations.
     #[inline]
     pub fn at(&self, row: usize) -> Row<'_> {

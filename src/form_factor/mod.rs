@@ -18,6 +18,7 @@ mod source;
 mod specular;
 mod table;
 mod tally;
+mod tiles;
 
 pub use correct::{Correction, Enforce, correct};
 pub use estimate::{MOST_RAYS, Request, by_pairs, estimate, unoccluded};
@@ -30,7 +31,8 @@ pub use mirror::cast_images;
 pub use projection::ProjectionMap;
 pub use raycast::{Caster, Casting, cast, cast_random, cast_rows};
 pub use recast::{Check, Recast, Rows};
-pub use rows::Row;
+pub use rows::{Row, widen};
 pub use source::packets_of;
 pub use specular::{Carried, ChainEnd, Chains, Link, pass_on};
 pub use table::ObjectTable;
+pub use tiles::Tiles;

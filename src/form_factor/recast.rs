@@ -142,6 +142,7 @@ impl<'a> Rows<'a> {
         let n = self.len() as u32;
         let object: Vec<u32> = (0..n).map(|e| scene.faces[mesh.place(e).0 as usize].object).collect();
         let taken: Vec<Rgb> = (0..n).map(|e| Rgb::ONE - keep(e)).collect();
+        let opaque = taken.iter().all(|t| *t == Rgb::ONE);
         let summary = self.summary();
         let parts = self.tasks(|run| {
             let mut exchange = HashMap::<(u32, u32), f64>::new();
@@ -149,7 +150,7 @@ impl<'a> Rows<'a> {
                 let area = mesh.area(k as u32) * summary[k].exposed * summary[k].index2;
                 let (mut sum, mut last, mut run_of_last) = (Rgb::ZERO, object[k], 0.0);
                 for (j, f) in run.row(k).entries() {
-                    sum += f * taken[j];
+                    sum += if opaque { f } else { f * taken[j] };
                     // Rays that follow each other mostly meet one object.
                     if object[j] != last {
                         *exchange.entry((object[k], last)).or_default() += run_of_last;

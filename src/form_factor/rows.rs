@@ -93,6 +93,11 @@ impl Block {
         self.start.last().map_or(0, |s| *s as usize)
     }
 
+    /// Entries are counts of rays.
+    pub(super) fn counts_rays(&self) -> bool {
+        matches!(self.entries, Entries::Counts(..))
+    }
+
     /// Bytes that the block occupies.
     pub(super) fn bytes(&self) -> usize {
         let entries = match &self.entries {
@@ -175,6 +180,24 @@ impl<'a> Row<'a> {
         (0..self.batches()).flat_map(move |b| row.batch(b))
     }
 
+    /// Shows randomisation, column and count of each entry of a row that counts rays; a column may come several times.
+    #[inline]
+    pub(super) fn counts(&self, mut show: impl FnMut(usize, usize, u32)) {
+        for (batch, range) in self.start.windows(2).enumerate() {
+            for e in &self.columns[range[0] as usize..range[1] as usize] {
+                show(batch, (e & COLUMN) as usize, (e >> COLUMN_BITS) + 1);
+            }
+        }
+    }
+
+    /// What one ray of a row that counts them counts.
+    pub(super) fn count_scale(&self) -> f64 {
+        match self.values {
+            Values::Counts(scale) => scale,
+            Values::Grey(_) | Values::Coloured(_) => 1.0,
+        }
+    }
+
     /// The row times `x`.
     #[inline]
     pub fn dot(&self, x: &[Rgb]) -> Rgb {
@@ -230,8 +253,9 @@ impl<'a> Row<'a> {
     }
 }
 
+/// The first three numbers.
 #[inline]
-fn widen(x: [f32; 4]) -> Rgb {
+pub fn widen(x: [f32; 4]) -> Rgb {
     Rgb::new(x[0].into(), x[1].into(), x[2].into())
 }
 

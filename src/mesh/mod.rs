@@ -135,11 +135,11 @@ impl Mesh {
         Mesh::of_grids(scene, sides, (element_size, false), grids, with_black)
     }
 
-    /// Like [`Mesh::new`] for fewer and more even cells, whose nodes need not coincide where faces meet: no field is interpolated
-    /// between them.
+    /// Fewer and more even cells than those of [`Mesh::new`] on the sides of another mesh; their nodes need not coincide where
+    /// faces meet: no field is interpolated between them.
     pub(crate) fn patches(scene: &Scene, sides: &Sides, size: f64) -> Result<Mesh> {
         let grids = scene.faces.iter().map(|f| Lattice::of(scene, f, size).into()).collect();
-        Mesh::of_grids(scene, sides, (size, false), grids, false)
+        Mesh::of_grids(scene, sides, (size, false), grids, true)
     }
 
     /// How many elements [`Mesh::new`] would make of the sides that reflect, transmit or emit, without making them.

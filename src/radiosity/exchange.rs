@@ -13,7 +13,7 @@
 
 use super::Transport;
 use crate::color::Rgb;
-use crate::form_factor::{Row, RowSummary, Rows};
+use crate::form_factor::{Row, RowSummary, Rows, Tiles, widen};
 use rayon::prelude::*;
 
 /// Largest relative change that closes a row.
@@ -27,6 +27,8 @@ pub(super) struct Exchange<'m> {
     pub rows: Rows<'m>,
     scale: Vec<f64>,
     balance: Option<Balance>,
+    /// Of many rows that count rays, the entries once more.
+    tiles: Option<Tiles>,
 }
 
 /// What makes rows reciprocal.
@@ -70,7 +72,11 @@ impl<'m> Exchange<'m> {
                 if (ratio - 1.0).abs() <= MOST_CORRECTION { ratio } else { 1.0 }
             })
             .collect();
-        Exchange { rows, scale, balance: None }
+        let tiles = match rows {
+            Rows::Kept(matrix) => Tiles::new(matrix),
+            Rows::Cast(_) => None,
+        };
+        Exchange { rows, scale, balance: None, tiles }
     }
 
     /// Makes the exchange reciprocal; `area` holds the elements' areas [m^2]. For rows that are kept and count rays: without
@@ -80,6 +86,7 @@ impl<'m> Exchange<'m> {
         let open = area.iter().zip(summary).map(|(a, s)| a * s.exposed).collect();
         let target = summary.iter().map(|s| 1.0 - s.escaped.x - s.absorbed.x - s.dropped.x).collect();
         self.balance = Some(Balance { area, open, target });
+        self.tiles = None;
     }
 
     /// Of a reciprocal exchange, what makes it so.
@@ -89,16 +96,30 @@ impl<'m> Exchange<'m> {
 
     /// Irradiance from radiosities.
     pub fn gather(&self, x: &[Rgb]) -> Vec<Rgb> {
-        match &self.balance {
-            Some(balance) => balance.gather(self.rows, x, None),
-            None => self.rows.map(|k, row| row.dot(x) * self.scale[k]),
+        match (&self.balance, &self.tiles) {
+            (Some(balance), _) => balance.gather(self.rows, x, None),
+            (None, Some(tiles)) => self.scaled(tiles.multiply(x, |x| x)),
+            (None, None) => self.rows.map(|k, row| row.dot(x) * self.scale[k]),
         }
     }
 
     /// The same from radiosities in single precision: a third of the time where these do not fit the processor's cache.
     /// Channels are the first three numbers.
     pub fn gather_rough(&self, x: &[[f32; 4]]) -> Vec<Rgb> {
-        self.rows.map(|k, row| row.dot_rough(x) * self.scale[k])
+        match &self.tiles {
+            Some(tiles) => self.scaled(tiles.multiply(x, widen)),
+            None => self.rows.map(|k, row| row.dot_rough(x) * self.scale[k]),
+        }
+    }
+
+    fn scaled(&self, mut y: Vec<Rgb>) -> Vec<Rgb> {
+        y.par_iter_mut().zip(&self.scale).with_min_len(MANY).for_each(|(y, s)| *y *= *s);
+        y
+    }
+
+    /// Entries by tiles and what each row must be multiplied by, where there are tiles.
+    pub fn tiles(&self) -> Option<(&Tiles, &[f64])> {
+        self.tiles.as_ref().map(|t| (t, &self.scale[..]))
     }
 
     /// Visits all rows with what each must be multiplied by.

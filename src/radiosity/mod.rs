@@ -1,6 +1,7 @@
 //! Pass 1: the diffuse light of the whole scene, independent of any view.
 
 mod caustic;
+mod coarse;
 mod direct;
 mod directional;
 mod exchange;
@@ -31,6 +32,7 @@ use crate::form_factor::{Check, EmitterIrradiance, EmitterRows, ExchangeMatrix, 
 use crate::mesh::{Mesh, NONE, Nodes};
 use crate::scene::Scene;
 use rayon::prelude::*;
+use solve::Aid;
 use std::f64::consts::PI;
 
 /// Loss of gathered light below which the exchange is made reciprocal.
@@ -137,26 +139,28 @@ pub fn solve(
         .collect();
     let incident: Vec<Rgb> = sources.iter().map(Sources::total).collect();
     let mut exchange = exchange::Exchange::new(rows, &check.sums);
-    if wants_reciprocity(scene, &exchange, &transport) {
+    let mut ones = exchange::residual_operator(|x| exchange.gather(x), &transport, &vec![Rgb::ONE; n]);
+    if wants_reciprocity(scene, &exchange, &ones) {
         exchange.make_reciprocal((0..n as u32).map(|e| mesh.area(e)).collect());
+        ones = exchange::residual_operator(|x| exchange.gather(x), &transport, &vec![Rgb::ONE; n]);
     }
     let side: Vec<u32> = (0..n as u32).map(|e| mesh.side(e)).collect();
-    let symmetric = symmetric::Symmetric::new(&exchange, &transport, &side);
+    let aid = match symmetric::Symmetric::new(&exchange, &transport, &side) {
+        Some(symmetric) => Aid::Symmetric(symmetric),
+        None if n >= coarse::LEAST_ELEMENTS && rows.are_kept() => {
+            Aid::Coarse(coarse::Coarse::new(scene, &mesh, &exchange, &transport))
+        }
+        None => Aid::Balance,
+    };
     let (irradiance, convergence) =
-        solve::solve(&exchange, &transport, symmetric.as_ref(), &incident, tolerance)?;
+        solve::solve(&exchange, &transport, &aid, &incident, Some(ones), tolerance)?;
     let reflected = transport.reflect(&irradiance);
     let by_source = uncertainty::BySource {
         own: &|row, batch| light.rows.as_ref().map_or(Rgb::ZERO, |l| l.total(row, batch) * open(row)),
         particles: if found.is_some() { Some(&particles) } else { None },
     };
-    let replicas = uncertainty::Replicas::new(
-        &exchange,
-        &transport,
-        symmetric.as_ref(),
-        &irradiance,
-        &by_source,
-        scene.environment,
-    );
+    let replicas =
+        uncertainty::Replicas::new(&exchange, &transport, &aid, &irradiance, &by_source, scene.environment);
     let emitted: Vec<Rgb> = (0..n as u32)
         .map(|e| {
             let (face, front, _) = mesh.place(e);
@@ -209,20 +213,16 @@ pub fn solve_irradiance(
     let rows = Rows::from(matrix);
     let sums = matrix.multiply(&vec![Rgb::ONE; matrix.len()]);
     let exchange = exchange::Exchange::new(rows, &sums);
-    solve::solve(&exchange, transport, None, incident, tolerance)
+    solve::solve(&exchange, transport, &Aid::Balance, incident, None, tolerance)
 }
 
 /// Whether errors of reciprocity would be amplified: some element loses little of the light that it gathers.
 ///
 /// Reciprocity takes rows that are kept and count rays, without specular chains; with diffuse transmission the system would not be
-/// symmetric.
-fn wants_reciprocity(scene: &Scene, exchange: &exchange::Exchange, transport: &Transport) -> bool {
+/// symmetric. `ones` is what the system gives for 1: what each element loses.
+fn wants_reciprocity(scene: &Scene, exchange: &exchange::Exchange, ones: &[Rgb]) -> bool {
     let plain = !scene.materials.iter().any(|m| m.is_specular() || m.is_translucent());
-    if !plain || !exchange.rows.are_kept() {
-        return false;
-    }
-    let white = exchange.gather(&transport.reflect(&vec![Rgb::ONE; exchange.rows.len()]));
-    white.iter().any(|w| w.max_element() > 1.0 - LITTLE_LOSS)
+    plain && exchange.rows.are_kept() && ones.iter().any(|lost| lost.min_element() < LITTLE_LOSS)
 }
 
 /// Diffuse reflection and transmission at the elements.

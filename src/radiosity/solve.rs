@@ -4,7 +4,7 @@
 //! Bi-CGSTAB (van der Vorst 1992) solves: it needs no transpose and no exact reciprocity, which such rows lack. Where little is
 //! lost, the exchange is reciprocal ([`super::exchange::Balance`]) and conjugate gradients solve, with a coarse space for the slow
 //! modes ([`super::symmetric`]): Bi-CGSTAB's first guess settles the mean light of one closed room by the balance of power, but of
-//! rooms joined by small openings each has its own.
+//! rooms joined by small openings each has its own. Many elements have a coarse grid in its place ([`super::coarse`]).
 //!
 //! **Error bound.** `A = 1 - F rho` has an inverse without negative entries. For any `w > 0` with `d = A w > 0`, the error
 //! of an irradiance with residual r is at most `max |r_i / d_i|` times `w` (take `A^-1 d = w`). With `w = 1`, `d_i` is
@@ -12,6 +12,7 @@
 //! an element sees nothing but perfectly white surfaces, `w` takes more bounces.
 
 use super::Transport;
+use super::coarse::Coarse;
 use super::exchange::{Exchange, MANY, residual_operator, round};
 use super::symmetric::Symmetric;
 use crate::color::Rgb;
@@ -56,14 +57,26 @@ impl Convergence {
     }
 }
 
-/// Solves for the irradiance [W m^-2] of every element; `incident` is its part straight from the sources.
+/// What makes steps few.
+pub(super) enum Aid<'a, 'm> {
+    /// The mean light of the scene as a first guess.
+    Balance,
+    /// A coarse grid.
+    Coarse(Coarse),
+    /// Reciprocity.
+    Symmetric(Symmetric<'a, 'm>),
+}
+
+/// Solves for the irradiance [W m^-2] of every element; `incident` is its part straight from the sources, `ones` what a
+/// multiplication of the system with 1 gives where that is known.
 ///
 /// Errors where nothing is lost at a bounce, so that no steady state exists.
 pub(super) fn solve(
     exchange: &Exchange,
     transport: &Transport,
-    symmetric: Option<&Symmetric>,
+    aid: &Aid,
     incident: &[Rgb],
+    ones: Option<Vec<Rgb>>,
     tolerance: f64,
 ) -> Result<(Vec<Rgb>, Convergence)> {
     let n = incident.len();
@@ -83,7 +96,8 @@ pub(super) fn solve(
         ));
     }
     let apply = |x: &[Rgb]| residual_operator(|y| exchange.gather(y), transport, x);
-    let bound = Bound::new(apply, n);
+    let ones = ones.unwrap_or_else(|| apply(&vec![Rgb::ONE; n]));
+    let bound = Bound::new(apply, ones);
     // Where every element loses enough of what it gathers, steps work in single precision: the restart from the true residual
     // makes good what that costs. Where little is lost, they would diverge.
     let lossy = bound.ones.iter().all(|d| d.min_element() >= LOSSY);
@@ -98,8 +112,8 @@ pub(super) fn solve(
         _ => relative(r, norm) <= tolerance,
     };
     // The recurrence drifts from the true residual: start again from where it ended.
-    let mut x = match symmetric {
-        Some(symmetric) => {
+    let mut x = match aid {
+        Aid::Symmetric(symmetric) => {
             let (mut x, mut count) =
                 symmetric.solve(incident, incident.to_vec(), done, MOST_STEPS / RESTARTS);
             for _ in 1..RESTARTS {
@@ -112,7 +126,23 @@ pub(super) fn solve(
             iterations += count;
             x
         }
-        None => {
+        Aid::Coarse(coarse) => {
+            let mut x = coarse.precondition(incident);
+            for _ in 0..RESTARTS {
+                let r = subtract(incident, &apply(&x));
+                iterations += 1;
+                if done(&x, &r) {
+                    break;
+                }
+                let mut state = Krylov::new(vec![Rgb::ZERO; n], r);
+                let moved = |u: &[Rgb]| combine(&x, Rgb::ONE, &coarse.precondition(u));
+                let step = |u: &[Rgb]| rough(&coarse.precondition(u));
+                iterations += state.run(step, |u, r| done(&moved(u), r), MOST_STEPS / RESTARTS);
+                x = moved(&state.x);
+            }
+            x
+        }
+        Aid::Balance => {
             let mut state = Krylov::balanced(incident, &apply(incident), &bound.ones);
             for restart in 0..RESTARTS {
                 if restart > 0 {
@@ -158,11 +188,11 @@ struct Bound {
 }
 
 impl Bound {
-    fn new(apply: impl Fn(&[Rgb]) -> Vec<Rgb>, n: usize) -> Bound {
+    fn new(apply: impl Fn(&[Rgb]) -> Vec<Rgb>, ones: Vec<Rgb>) -> Bound {
+        let n = ones.len();
         let mut w = vec![Rgb::ONE; n];
         // The light of one bounce more each time: 1, F rho 1, ...
         let mut bounce = w.clone();
-        let ones = apply(&w);
         let mut d = ones.clone();
         for bounces in 1..=MOST_BOUNCES {
             if d.iter().all(|d| d.min_element() > 1e-13) {
@@ -202,7 +232,7 @@ pub(super) struct Krylov {
 
 impl Krylov {
     /// From a guess and its residual.
-    fn new(x: Vec<Rgb>, r: Vec<Rgb>) -> Krylov {
+    pub fn new(x: Vec<Rgb>, r: Vec<Rgb>) -> Krylov {
         let rho = dot(&r, &r);
         Krylov { x, shadow: r.clone(), p: r.clone(), r, v: Vec::new(), rho, alpha: Rgb::ZERO }
     }

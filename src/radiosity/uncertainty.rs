@@ -15,8 +15,8 @@
 //! [`Rows::batches`]: crate::form_factor::Rows::batches
 
 use super::Transport;
-use super::exchange::{Exchange, round};
-use super::solve::{Krylov, norm};
+use super::exchange::{Exchange, MANY, round};
+use super::solve::{Aid, Krylov, combine, norm, subtract};
 use super::symmetric::Symmetric;
 use crate::color::Rgb;
 use crate::form_factor::Row;
@@ -25,6 +25,7 @@ use crate::sampling::seed_of;
 use crate::scene::Scene;
 use rayon::prelude::*;
 use serde::Serialize;
+use std::borrow::Cow;
 
 /// Replicas of the system.
 const REPLICAS: usize = 16;
@@ -70,21 +71,21 @@ pub(super) struct Replicas {
     freedom: f64,
 }
 
-/// One randomisation of a row.
-struct Part {
+/// What replicas are made of: one value for each randomisation of each row, row by row.
+struct Parts {
     /// What it gathers of the solved light less the mean [W m^-2].
-    own: Rgb,
+    own: Vec<Rgb>,
     /// What makes it close.
-    close: f64,
-    /// What it gathers of the light that a radiosity of 1 on every element leads to.
-    ones: Rgb,
+    close: Vec<f64>,
+    /// What it gathers of the light that a radiosity of 1 on every element leads to; zero with a coarse grid, which does without.
+    ones: Vec<Rgb>,
 }
 
 impl Replicas {
     pub fn new(
         exchange: &Exchange,
         transport: &Transport,
-        symmetric: Option<&Symmetric>,
+        aid: &Aid,
         irradiance: &[Rgb],
         sources: &BySource,
         environment: Rgb,
@@ -94,7 +95,7 @@ impl Replicas {
             return Replicas { differences: Vec::new(), scale: f64::NAN, freedom: 0.0 };
         }
         let radiosity = transport.reflect(irradiance);
-        let parts = parts(exchange, transport, &radiosity, sources, environment);
+        let parts = Parts::new(exchange, transport, aid, &radiosity, sources, environment);
         let balanced = exchange.balance().map(|b| (b, b.gather(exchange.rows, &radiosity, None)));
         let shared_mean: Option<Vec<Rgb>> = sources.particles.map(|particles| {
             (0..n).map(|k| (0..batches).map(|b| particles(k, b)).sum::<Rgb>() / batches as f64).collect()
@@ -115,8 +116,9 @@ impl Replicas {
                             (Some(p), Some(mean)) => p(row, usize::from(common[first + m])) - mean[row],
                             _ => Rgb::ZERO,
                         };
-                        let own =
-                            (0..n).into_par_iter().map(|row| parts[row][pick(row, m)].own + shared(row));
+                        let own = (0..n)
+                            .into_par_iter()
+                            .map(|row| parts.own[row * batches + pick(row, m)] + shared(row));
                         let Some((balance, mean)) = &balanced else { return own.collect() };
                         let picked = balance.gather(exchange.rows, &radiosity, Some(&|row| pick(row, m)));
                         own.zip(picked.par_iter().zip(mean))
@@ -124,13 +126,13 @@ impl Replicas {
                             .collect()
                     })
                     .collect();
-                if let Some(symmetric) = symmetric {
+                if let Aid::Symmetric(symmetric) = aid {
                     for b in &different {
                         differences.push(linear(exchange, transport, symmetric, b));
                     }
                     continue;
                 }
-                let turn = Turn { exchange, transport, parts: &parts, pick: &pick };
+                let turn = Turn { exchange, transport, parts: &parts, count, pick: &pick, aid };
                 for x in turn.solve(different) {
                     differences.push(x.iter().map(|x| x.as_vec3().to_array()).collect());
                 }
@@ -253,51 +255,74 @@ fn wide(d: &[[f32; 3]]) -> Vec<Rgb> {
     d.iter().map(|d| Rgb::from(d.map(f64::from))).collect()
 }
 
-/// By row and randomisation: what a replica is made of.
-fn parts(
-    exchange: &Exchange,
-    transport: &Transport,
-    radiosity: &[Rgb],
-    sources: &BySource,
-    environment: Rgb,
-) -> Vec<Vec<Part>> {
-    let outside = std::f64::consts::PI * environment;
-    let white = transport.reflect(&vec![Rgb::ONE; radiosity.len()]);
-    exchange.map(|k, row, scale| {
-        let batches = row.batches();
-        let s = &exchange.rows.summary()[k];
-        let sums: Vec<Rgb> = (0..batches).map(|b| row.sum_batch(b, |_| Rgb::ONE) * scale).collect();
-        let mean_sum = sums.iter().sum::<Rgb>() / batches as f64;
-        let closed = s.escaped + s.absorbed + s.dropped == Rgb::ZERO;
-        let mut parts: Vec<Part> = (0..batches)
-            .map(|b| {
-                let close = match mean_sum.x / sums[b].x {
-                    // Rays from covered parts do not count: the others still make the whole.
-                    c if c.is_finite() && (closed || c < 1.0) => c,
-                    _ => 1.0,
-                };
-                // What meets no element leaves the scene, as far as anything does.
-                let escaped = if s.escaped.x > 0.0 { mean_sum - sums[b] } else { Rgb::ZERO };
-                // A reciprocal exchange is no sum of rows: it is gathered as a whole.
-                let gathered = match exchange.balance() {
-                    Some(_) => Rgb::ZERO,
-                    None => row.dot_batch(b, radiosity) * scale * if closed { close } else { 1.0 },
-                };
-                let own = gathered + (sources.own)(k, b) + escaped * outside;
-                Part { own, close, ones: row.dot_batch(b, &white) * (scale * close) }
-            })
-            .collect();
-        let mean = parts.iter().map(|p| p.own).sum::<Rgb>() / batches as f64;
-        parts.iter_mut().for_each(|p| p.own -= mean);
-        parts
-    })
+impl Parts {
+    fn new(
+        exchange: &Exchange,
+        transport: &Transport,
+        aid: &Aid,
+        radiosity: &[Rgb],
+        sources: &BySource,
+        environment: Rgb,
+    ) -> Parts {
+        let outside = std::f64::consts::PI * environment;
+        let white = match aid {
+            Aid::Coarse(_) => None,
+            _ => Some(transport.reflect(&vec![Rgb::ONE; radiosity.len()])),
+        };
+        let batches = exchange.rows.batches();
+        let tiled: Option<Vec<Vec<[Rgb; TOGETHER]>>> = exchange.tiles().map(|(tiles, _)| {
+            let x = round(radiosity);
+            let of = |first: usize| {
+                let lane = |_: usize, b: usize| b.checked_sub(first).filter(|m| *m < TOGETHER);
+                tiles.multiply_each(&x, lane, |x, _| *x)
+            };
+            (0..batches).step_by(TOGETHER).map(of).collect()
+        });
+        let gathered = |k: usize, b: usize, row: &Row| match &tiled {
+            Some(tiled) => tiled[b / TOGETHER][k][b % TOGETHER],
+            None => row.dot_batch(b, radiosity),
+        };
+        let of_row = |k: usize, row: &Row, scale: f64| {
+            let s = &exchange.rows.summary()[k];
+            let sums: Vec<Rgb> = (0..batches).map(|b| row.sum_batch(b, |_| Rgb::ONE) * scale).collect();
+            let mean_sum = sums.iter().sum::<Rgb>() / batches as f64;
+            let closed = s.escaped + s.absorbed + s.dropped == Rgb::ZERO;
+            let mut parts: Vec<(Rgb, (f64, Rgb))> = (0..batches)
+                .map(|b| {
+                    let close = match mean_sum.x / sums[b].x {
+                        // Rays from covered parts do not count: the others still make the whole.
+                        c if c.is_finite() && (closed || c < 1.0) => c,
+                        _ => 1.0,
+                    };
+                    // What meets no element leaves the scene, as far as anything does.
+                    let escaped = if s.escaped.x > 0.0 { mean_sum - sums[b] } else { Rgb::ZERO };
+                    // A reciprocal exchange is no sum of rows: it is gathered as a whole.
+                    let gathered = match exchange.balance() {
+                        Some(_) => Rgb::ZERO,
+                        None => gathered(k, b, row) * scale * if closed { close } else { 1.0 },
+                    };
+                    let ones =
+                        white.as_ref().map_or(Rgb::ZERO, |white| row.dot_batch(b, white) * (scale * close));
+                    (gathered + (sources.own)(k, b) + escaped * outside, (close, ones))
+                })
+                .collect();
+            let mean = parts.iter().map(|p| p.0).sum::<Rgb>() / batches as f64;
+            parts.iter_mut().for_each(|p| p.0 -= mean);
+            parts
+        };
+        let (own, (close, ones)) = exchange.map(of_row).into_iter().flatten().unzip();
+        Parts { own, close, ones }
+    }
 }
 
 /// Replicas that share their multiplications: each takes another randomisation of a row.
 struct Turn<'a, 'm> {
     exchange: &'a Exchange<'m>,
     transport: &'a Transport,
-    parts: &'a [Vec<Part>],
+    aid: &'a Aid<'a, 'm>,
+    parts: &'a Parts,
+    /// How many they are.
+    count: usize,
     /// Randomisation that a row lends to a replica.
     pick: &'a (dyn Fn(usize, usize) -> usize + Sync),
 }
@@ -306,6 +331,19 @@ impl Turn<'_, '_> {
     /// `A_m x_m` of each replica that has an x.
     fn apply(&self, xs: [Option<&[Rgb]>; TOGETHER]) -> [Option<Vec<Rgb>>; TOGETHER] {
         let rough = xs.map(|x| x.map(|x| round(&self.transport.reflect(x))));
+        if let Some((tiles, scale)) = self.exchange.tiles() {
+            let n = scale.len();
+            let lanes = |k: usize| std::array::from_fn(|m| rough[m].as_ref().map_or([0.0; 4], |x| x[k]));
+            let together: Vec<[[f32; 4]; TOGETHER]> = (0..n).into_par_iter().map(lanes).collect();
+            let batches = self.exchange.rows.batches();
+            let lane = |k: usize, batch: usize| (0..self.count).find(|m| (self.pick)(k, *m) == batch);
+            let gathered = tiles.multiply_each::<TOGETHER, _>(&together, lane, |x, m| x[m]);
+            return std::array::from_fn(|m| {
+                let close = |k: usize| scale[k] * self.parts.close[k * batches + (self.pick)(k, m)];
+                let one = |(k, x): (usize, &Rgb)| *x - gathered[k][m] * close(k);
+                xs[m].map(|x| x.par_iter().enumerate().with_min_len(MANY).map(one).collect())
+            });
+        }
         // A replica at a time keeps its radiosities in the cache; but where rays are cast again, once must do for all.
         if !self.exchange.rows.are_kept() {
             let gathered = self.exchange.map(|k, row, scale| {
@@ -330,24 +368,46 @@ impl Turn<'_, '_> {
     #[inline]
     fn gather(&self, m: usize, (k, row, scale): (usize, &Row, f64), x: &[[f32; 4]]) -> Rgb {
         let b = (self.pick)(k, m);
-        row.dot_batch_rough(b, x) * (scale * self.parts[k][b].close)
+        row.dot_batch_rough(b, x) * (scale * self.parts.close[k * row.batches() + b])
     }
 
     /// Solves `A_m x_m = b_m` until the residuals have the share [`ROUGH`] of the right-hand sides.
     fn solve(&self, b: Vec<Vec<Rgb>>) -> Vec<Vec<Rgb>> {
-        let first = self.apply(std::array::from_fn(|m| b.get(m).map(|b| &b[..])));
+        let of = |all: &[Vec<Rgb>]| self.apply(std::array::from_fn(|m| all.get(m).map(|x| &x[..])));
+        let norms: Vec<Rgb> = b.iter().map(|b| norm(b)).collect();
+        if let Aid::Coarse(coarse) = self.aid {
+            let guess: Vec<Vec<Rgb>> = b.iter().map(|b| coarse.precondition(b)).collect();
+            let a_guess = of(&guess);
+            let from = |(b, a): (&Vec<Rgb>, Vec<Rgb>)| Krylov::new(vec![Rgb::ZERO; a.len()], subtract(b, &a));
+            let mut systems: Vec<Krylov> = b.iter().zip(a_guess.into_iter().flatten()).map(from).collect();
+            // A step of Richardson's shrinks the residual as the guess did. Where that is enough, what it becomes need not be known.
+            let near: Vec<bool> =
+                systems.iter().zip(&norms).map(|(s, norm)| s.relative(*norm) < ROUGH.sqrt()).collect();
+            for system in systems.iter_mut().zip(&near).filter(|(_, near)| **near).map(|s| s.0) {
+                system.x = system.r.clone();
+            }
+            self.run(&mut systems, &norms, near.iter().map(|near| !near).collect());
+            let moved = |(x, s): (&Vec<Rgb>, &Krylov)| combine(x, Rgb::ONE, &coarse.precondition(&s.x));
+            return guess.iter().zip(&systems).map(moved).collect();
+        }
+        let batches = self.exchange.rows.batches();
         let mut systems: Vec<Krylov> = b
             .iter()
-            .zip(first.into_iter().flatten())
+            .zip(of(&b).into_iter().flatten())
             .enumerate()
             .map(|(m, (b, a_b))| {
-                let one = |(k, parts): (usize, &Vec<Part>)| Rgb::ONE - parts[(self.pick)(k, m)].ones;
-                let ones: Vec<Rgb> = self.parts.iter().enumerate().map(one).collect();
+                let one = |k: usize| Rgb::ONE - self.parts.ones[k * batches + (self.pick)(k, m)];
+                let ones: Vec<Rgb> = (0..b.len()).map(one).collect();
                 Krylov::balanced(b, &a_b, &ones)
             })
             .collect();
-        let norms: Vec<Rgb> = b.iter().map(|b| norm(b)).collect();
-        let mut alive = vec![true; systems.len()];
+        let alive = vec![true; systems.len()];
+        self.run(&mut systems, &norms, alive);
+        systems.into_iter().map(|s| s.x).collect()
+    }
+
+    /// Improves the systems that are `alive` and further than [`ROUGH`] from `norms`, preconditioned where there is a coarse grid.
+    fn run(&self, systems: &mut [Krylov], norms: &[Rgb], mut alive: Vec<bool>) {
         for _ in 0..MOST_STEPS {
             for (m, s) in systems.iter().enumerate() {
                 alive[m] &= s.relative(norms[m]) > ROUGH;
@@ -355,18 +415,25 @@ impl Turn<'_, '_> {
             if alive.iter().all(|a| !a) {
                 break;
             }
-            let taking = |m: usize| systems.get(m).filter(|_| alive[m]);
-            let v = self.apply(std::array::from_fn(|m| taking(m).map(|s| s.direction())));
+            let multiply = |systems: &[Krylov], alive: &[bool], what: fn(&Krylov) -> &[Rgb]| {
+                let x: [Option<Cow<[Rgb]>>; TOGETHER] = std::array::from_fn(|m| {
+                    let x = what(systems.get(m).filter(|_| alive[m])?);
+                    Some(match self.aid {
+                        Aid::Coarse(coarse) => Cow::Owned(coarse.precondition(x)),
+                        _ => Cow::Borrowed(x),
+                    })
+                });
+                self.apply(std::array::from_fn(|m| x[m].as_deref()))
+            };
+            let v = multiply(systems, &alive, |s| s.direction());
             for (s, v) in systems.iter_mut().zip(v) {
                 v.into_iter().for_each(|v| s.first(v));
             }
-            let taking = |m: usize| systems.get(m).filter(|_| alive[m]);
-            let t = self.apply(std::array::from_fn(|m| taking(m).map(|s| &s.r[..])));
+            let t = multiply(systems, &alive, |s| &s.r);
             for ((s, t), alive) in systems.iter_mut().zip(t).zip(&mut alive) {
                 t.into_iter().for_each(|t| *alive &= s.second(&t));
             }
         }
-        systems.into_iter().map(|s| s.x).collect()
     }
 }
 
