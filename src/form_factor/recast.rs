@@ -76,9 +76,12 @@ impl<'a> Rows<'a> {
         self.summary().is_empty()
     }
 
-    /// A visit casts no rays.
-    pub fn are_kept(&self) -> bool {
-        matches!(self, Rows::Kept(_))
+    /// The matrix that holds the rows: visits cast no rays.
+    pub fn kept(&self) -> Option<&'a ExchangeMatrix> {
+        match self {
+            Rows::Kept(matrix) => Some(matrix),
+            Rows::Cast(_) => None,
+        }
     }
 
     /// Independent randomisations of each row.
@@ -107,17 +110,6 @@ impl<'a> Rows<'a> {
         let mut all = Vec::with_capacity(self.len());
         parts.into_iter().for_each(|part| all.extend(part));
         all
-    }
-
-    /// Visits one row of a matrix in memory.
-    ///
-    /// # Panics
-    /// Where rows are cast again.
-    pub fn map_one<T>(&self, k: usize, f: impl FnOnce(&Row) -> T) -> T {
-        match self {
-            Rows::Kept(matrix) => f(&matrix.at(k)),
-            Rows::Cast(_) => panic!("a single row of those that are cast again"),
-        }
     }
 
     /// Visits the rows in runs on all cores, one value a run, in order.

@@ -12,8 +12,9 @@
 //! by it, a step gains what several do without.
 
 use super::Transport;
-use super::exchange::{Exchange, MANY};
+use super::exchange::MANY;
 use crate::color::Rgb;
+use crate::form_factor::ExchangeMatrix;
 use crate::mesh::Mesh;
 use crate::scene::Scene;
 use rayon::prelude::*;
@@ -37,8 +38,8 @@ pub(super) struct Coarse {
 }
 
 impl Coarse {
-    /// For rows that are kept.
-    pub fn new(scene: &Scene, mesh: &Mesh, exchange: &Exchange, transport: &Transport) -> Coarse {
+    /// Of the factors between a mesh's elements.
+    pub fn new(scene: &Scene, mesh: &Mesh, matrix: &ExchangeMatrix, transport: &Transport) -> Coarse {
         let (patch, count) = patches(scene, mesh);
         let mut first = vec![0; count + 1];
         patch.iter().for_each(|p| first[usize::from(*p) + 1] += 1);
@@ -49,8 +50,7 @@ impl Coarse {
             members[next[usize::from(*p)]] = e as u32;
             next[usize::from(*p)] += 1;
         }
-        let summary = exchange.rows.summary();
-        let weight = |e: u32| mesh.area(e) * summary[e as usize].exposed;
+        let weight = |e: u32| mesh.area(e) * matrix.summary[e as usize].exposed;
         let mut part = vec![0.0; patch.len()];
         for of_patch in first.windows(2).map(|f| &members[f[0]..f[1]]) {
             let sum: f64 = of_patch.iter().map(|e| weight(*e)).sum();
@@ -68,19 +68,19 @@ impl Coarse {
             })
             .collect();
         let gathered: Vec<Vec<Rgb>> =
-            (0..count).into_par_iter().map(|p| coarse.gathered(exchange, p)).collect();
+            (0..count).into_par_iter().map(|p| coarse.gathered(matrix, p)).collect();
         let of_channel = |c: usize| {
-            let mut matrix = vec![0.0; count * count];
-            for (row, factors) in matrix.chunks_exact_mut(count).zip(&gathered) {
+            let mut system = vec![0.0; count * count];
+            for (row, factors) in system.chunks_exact_mut(count).zip(&gathered) {
                 for (q, f) in factors.iter().enumerate() {
                     row[q] -= f[c] * reflected[q][c];
                     row[behind[q]] -= f[c] * passed[q][c];
                 }
             }
-            (0..count).for_each(|p| matrix[p * (count + 1)] += 1.0);
-            invert(&mut matrix, count);
-            (0..count).for_each(|p| matrix[p * (count + 1)] -= 1.0);
-            matrix
+            (0..count).for_each(|p| system[p * (count + 1)] += 1.0);
+            invert(&mut system, count);
+            (0..count).for_each(|p| system[p * (count + 1)] -= 1.0);
+            system
         };
         let mut bounced: Vec<Vec<f64>> = (0..3).into_par_iter().map(of_channel).collect();
         coarse.bounced = std::array::from_fn(|c| std::mem::take(&mut bounced[c]));
@@ -88,13 +88,12 @@ impl Coarse {
     }
 
     /// Mean factors from a patch's elements to all patches, by one randomisation: that of many rows is enough.
-    fn gathered(&self, exchange: &Exchange, p: usize) -> Vec<Rgb> {
+    fn gathered(&self, matrix: &ExchangeMatrix, p: usize) -> Vec<Rgb> {
         let mut sums = vec![Rgb::ZERO; self.first.len() - 1];
         for e in &self.members[self.first[p]..self.first[p + 1]] {
-            let part = f64::from(self.part[*e as usize]) * exchange.rows.batches() as f64;
-            exchange.rows.map_one(*e as usize, |row| {
-                row.batch(0).for_each(|(j, f)| sums[usize::from(self.patch[j])] += part * f);
-            });
+            let part = f64::from(self.part[*e as usize]) * matrix.batches() as f64;
+            let row = matrix.at(*e as usize);
+            row.batch(0).for_each(|(j, f)| sums[usize::from(self.patch[j])] += part * f);
         }
         sums
     }

@@ -13,7 +13,7 @@
 
 use super::Transport;
 use crate::color::Rgb;
-use crate::form_factor::{Row, RowSummary, Rows, Tiles, widen};
+use crate::form_factor::{ExchangeMatrix, Row, RowSummary, Rows, Tiles, widen};
 use rayon::prelude::*;
 
 /// Largest relative change that closes a row.
@@ -26,7 +26,7 @@ pub(super) const MANY: usize = 4096;
 pub(super) struct Exchange<'m> {
     pub rows: Rows<'m>,
     scale: Vec<f64>,
-    balance: Option<Balance>,
+    balance: Option<Balance<'m>>,
     /// Of many rows that count rays, the entries once more.
     tiles: Option<Tiles>,
 }
@@ -48,7 +48,8 @@ pub(super) struct Exchange<'m> {
 ///
 /// with the open area a and the share t of rays that met elements. A uniform x gives `t x` exactly, all is linear in the counts (so
 /// nothing is biased), and off the diagonal nothing is negative.
-pub(super) struct Balance {
+pub(super) struct Balance<'m> {
+    matrix: &'m ExchangeMatrix,
     /// Areas of the elements [m^2].
     area: Vec<f64>,
     /// Their open parts [m^2].
@@ -72,32 +73,28 @@ impl<'m> Exchange<'m> {
                 if (ratio - 1.0).abs() <= MOST_CORRECTION { ratio } else { 1.0 }
             })
             .collect();
-        let tiles = match rows {
-            Rows::Kept(matrix) => Tiles::new(matrix),
-            Rows::Cast(_) => None,
-        };
-        Exchange { rows, scale, balance: None, tiles }
+        Exchange { rows, scale, balance: None, tiles: rows.kept().and_then(Tiles::new) }
     }
 
-    /// Makes the exchange reciprocal; `area` holds the elements' areas [m^2]. For rows that are kept and count rays: without
-    /// specular chains.
-    pub fn make_reciprocal(&mut self, area: Vec<f64>) {
-        let summary = self.rows.summary();
+    /// Makes the exchange reciprocal; `matrix` are its rows, which count rays: without specular chains. `area` holds the elements'
+    /// areas [m^2].
+    pub fn make_reciprocal(&mut self, matrix: &'m ExchangeMatrix, area: Vec<f64>) {
+        let summary = &matrix.summary;
         let open = area.iter().zip(summary).map(|(a, s)| a * s.exposed).collect();
         let target = summary.iter().map(|s| 1.0 - s.escaped.x - s.absorbed.x - s.dropped.x).collect();
-        self.balance = Some(Balance { area, open, target });
+        self.balance = Some(Balance { matrix, area, open, target });
         self.tiles = None;
     }
 
     /// Of a reciprocal exchange, what makes it so.
-    pub fn balance(&self) -> Option<&Balance> {
+    pub fn balance(&self) -> Option<&Balance<'m>> {
         self.balance.as_ref()
     }
 
     /// Irradiance from radiosities.
     pub fn gather(&self, x: &[Rgb]) -> Vec<Rgb> {
         match (&self.balance, &self.tiles) {
-            (Some(balance), _) => balance.gather(self.rows, x, None),
+            (Some(balance), _) => balance.gather(x, None),
             (None, Some(tiles)) => self.scaled(tiles.multiply(x, |x| x)),
             (None, None) => self.rows.map(|k, row| row.dot(x) * self.scale[k]),
         }
@@ -128,7 +125,7 @@ impl<'m> Exchange<'m> {
     }
 }
 
-impl Balance {
+impl Balance<'_> {
     /// Weight `S_ij` [m^2] of a factor from i to j.
     #[inline]
     fn weight(&self, summary: &[RowSummary], i: usize, j: usize, factor: f64) -> f64 {
@@ -139,9 +136,9 @@ impl Balance {
     }
 
     /// `F x` from all randomisations, or from the one of each row that `pick` names.
-    pub fn gather(&self, rows: Rows, x: &[Rgb], pick: Option<&(dyn Fn(usize) -> usize + Sync)>) -> Vec<Rgb> {
-        let (n, batches, summary) = (x.len(), rows.batches(), rows.summary());
-        let runs = self.runs(rows, vec![Rgb::ZERO; n], |y, i, row| {
+    pub fn gather(&self, x: &[Rgb], pick: Option<&(dyn Fn(usize) -> usize + Sync)>) -> Vec<Rgb> {
+        let (n, batches, summary) = (x.len(), self.matrix.batches(), &self.matrix.summary);
+        let runs = self.runs(vec![Rgb::ZERO; n], |y, i, row| {
             let mut add = |(j, f): (usize, Rgb), times: f64| {
                 let flow = (x[j] - x[i]) * (self.weight(summary, i, j, f.x) * times);
                 y[i] += flow;
@@ -157,7 +154,7 @@ impl Balance {
             let own = match pick {
                 Some(pick) if self.target[i] < 1.0 => {
                     // Of what leaves the scene, too, this randomisation is an estimate.
-                    let sum = rows.map_one(i, |row| row.sum_batch(pick(i), |_| Rgb::ONE));
+                    let sum = self.matrix.at(i).sum_batch(pick(i), |_| Rgb::ONE);
                     sum.x.min(1.0)
                 }
                 _ => self.target[i],
@@ -169,9 +166,9 @@ impl Balance {
 
     /// Sums over pairs of elements by groups: `sum over i in g, j in h of S_ij f(i, j)` for all g and h, both ways, and
     /// the two sums of what [`Balance::gather`] takes off the diagonal.
-    pub fn by_groups(&self, rows: Rows, group: &[u16], groups: usize, weight: &[Rgb]) -> Vec<Rgb> {
-        let summary = rows.summary();
-        let runs = self.runs(rows, vec![Rgb::ZERO; groups * groups], |sums, i, row| {
+    pub fn by_groups(&self, group: &[u16], groups: usize, weight: &[Rgb]) -> Vec<Rgb> {
+        let summary = &self.matrix.summary;
+        let runs = self.runs(vec![Rgb::ZERO; groups * groups], |sums, i, row| {
             let g = usize::from(group[i]);
             for (j, f) in row.entries() {
                 let h = usize::from(group[j]);
@@ -190,7 +187,6 @@ impl Balance {
     /// but the number of rows.
     fn runs<T: Clone + Send + Sync>(
         &self,
-        rows: Rows,
         zero: Vec<T>,
         visit: impl Fn(&mut Vec<T>, usize, &Row) + Sync,
     ) -> Vec<Vec<T>> {
@@ -199,9 +195,7 @@ impl Balance {
         let run = |r: usize| {
             let mut sums = zero.clone();
             let range = r * n / count..(r + 1) * n / count;
-            range
-                .filter(|i| self.open[*i] > 0.0)
-                .for_each(|i| rows.map_one(i, |row| visit(&mut sums, i, row)));
+            range.filter(|i| self.open[*i] > 0.0).for_each(|i| visit(&mut sums, i, &self.matrix.at(i)));
             sums
         };
         (0..count).into_par_iter().map(run).collect()

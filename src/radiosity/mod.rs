@@ -140,17 +140,16 @@ pub fn solve(
     let incident: Vec<Rgb> = sources.iter().map(Sources::total).collect();
     let mut exchange = exchange::Exchange::new(rows, &check.sums);
     let mut ones = exchange::residual_operator(|x| exchange.gather(x), &transport, &vec![Rgb::ONE; n]);
-    if wants_reciprocity(scene, &exchange, &ones) {
-        exchange.make_reciprocal((0..n as u32).map(|e| mesh.area(e)).collect());
+    if let Some(matrix) = rows.kept().filter(|_| wants_reciprocity(scene, &ones)) {
+        exchange.make_reciprocal(matrix, (0..n as u32).map(|e| mesh.area(e)).collect());
         ones = exchange::residual_operator(|x| exchange.gather(x), &transport, &vec![Rgb::ONE; n]);
     }
     let side: Vec<u32> = (0..n as u32).map(|e| mesh.side(e)).collect();
-    let aid = match symmetric::Symmetric::new(&exchange, &transport, &side) {
-        Some(symmetric) => Aid::Symmetric(symmetric),
-        None if n >= coarse::LEAST_ELEMENTS && rows.are_kept() => {
-            Aid::Coarse(coarse::Coarse::new(scene, &mesh, &exchange, &transport))
-        }
-        None => Aid::Balance,
+    let many = rows.kept().filter(|_| n >= coarse::LEAST_ELEMENTS);
+    let aid = match (symmetric::Symmetric::new(&exchange, &transport, &side), many) {
+        (Some(symmetric), _) => Aid::Symmetric(symmetric),
+        (None, Some(matrix)) => Aid::Coarse(coarse::Coarse::new(scene, &mesh, matrix, &transport)),
+        (None, None) => Aid::Balance,
     };
     let (irradiance, convergence) =
         solve::solve(&exchange, &transport, &aid, &incident, Some(ones), tolerance)?;
@@ -220,9 +219,9 @@ pub fn solve_irradiance(
 ///
 /// Reciprocity takes rows that are kept and count rays, without specular chains; with diffuse transmission the system would not be
 /// symmetric. `ones` is what the system gives for 1: what each element loses.
-fn wants_reciprocity(scene: &Scene, exchange: &exchange::Exchange, ones: &[Rgb]) -> bool {
+fn wants_reciprocity(scene: &Scene, ones: &[Rgb]) -> bool {
     let plain = !scene.materials.iter().any(|m| m.is_specular() || m.is_translucent());
-    plain && exchange.rows.are_kept() && ones.iter().any(|lost| lost.min_element() < LITTLE_LOSS)
+    plain && ones.iter().any(|lost| lost.min_element() < LITTLE_LOSS)
 }
 
 /// Diffuse reflection and transmission at the elements.

@@ -42,7 +42,7 @@ impl<'a, 'm> Symmetric<'a, 'm> {
         let rho = &transport.reflectance;
         let weight: Vec<Rgb> = rho.iter().zip(&balance.open).map(|(r, a)| *r * *a).collect();
         let (group, groups) = grouped(side);
-        let mut matrix = balance.by_groups(exchange.rows, &group, groups, rho);
+        let mut matrix = balance.by_groups(&group, groups, rho);
         for (i, g) in group.iter().enumerate() {
             matrix[usize::from(*g) * (groups + 1)] += weight[i] * (Rgb::ONE - rho[i] * balance.target[i]);
         }

@@ -96,7 +96,7 @@ impl Replicas {
         }
         let radiosity = transport.reflect(irradiance);
         let parts = Parts::new(exchange, transport, aid, &radiosity, sources, environment);
-        let balanced = exchange.balance().map(|b| (b, b.gather(exchange.rows, &radiosity, None)));
+        let balanced = exchange.balance().map(|b| (b, b.gather(&radiosity, None)));
         let shared_mean: Option<Vec<Rgb>> = sources.particles.map(|particles| {
             (0..n).map(|k| (0..batches).map(|b| particles(k, b)).sum::<Rgb>() / batches as f64).collect()
         });
@@ -120,7 +120,7 @@ impl Replicas {
                             .into_par_iter()
                             .map(|row| parts.own[row * batches + pick(row, m)] + shared(row));
                         let Some((balance, mean)) = &balanced else { return own.collect() };
-                        let picked = balance.gather(exchange.rows, &radiosity, Some(&|row| pick(row, m)));
+                        let picked = balance.gather(&radiosity, Some(&|row| pick(row, m)));
                         own.zip(picked.par_iter().zip(mean))
                             .map(|(own, (p, mean))| own + *p - *mean)
                             .collect()
@@ -345,7 +345,7 @@ impl Turn<'_, '_> {
             });
         }
         // A replica at a time keeps its radiosities in the cache; but where rays are cast again, once must do for all.
-        if !self.exchange.rows.are_kept() {
+        if self.exchange.rows.kept().is_none() {
             let gathered = self.exchange.map(|k, row, scale| {
                 let gathered = |(m, x): (usize, &Option<Vec<_>>)| {
                     x.as_ref().map_or(Rgb::ZERO, |x| self.gather(m, (k, row, scale), x))
