@@ -15,7 +15,7 @@ use super::Transport;
 use super::exchange::MANY;
 use crate::color::Rgb;
 use crate::form_factor::ExchangeMatrix;
-use crate::mesh::Mesh;
+use crate::mesh::{Mesh, NONE};
 use crate::scene::Scene;
 use rayon::prelude::*;
 
@@ -61,9 +61,10 @@ impl Coarse {
         let mut coarse = Coarse { patch, part, bounced: Default::default(), members, first };
         let mean = |values: &[Rgb]| coarse.means(values);
         let (reflected, passed) = (mean(&transport.reflectance), mean(&transport.transmittance));
+        // A patch may be smaller than the elements of an adaptive mesh and have none.
         let behind: Vec<usize> = (0..count)
-            .map(|p| match mesh.opposite(coarse.members[coarse.first[p]]) {
-                crate::mesh::NONE => p,
+            .map(|p| match coarse.of_patch(p).first().map_or(NONE, |e| mesh.opposite(*e)) {
+                NONE => p,
                 e => usize::from(coarse.patch[e as usize]),
             })
             .collect();
@@ -87,10 +88,14 @@ impl Coarse {
         coarse
     }
 
+    fn of_patch(&self, p: usize) -> &[u32] {
+        &self.members[self.first[p]..self.first[p + 1]]
+    }
+
     /// Mean factors from a patch's elements to all patches, by one randomisation: that of many rows is enough.
     fn gathered(&self, matrix: &ExchangeMatrix, p: usize) -> Vec<Rgb> {
         let mut sums = vec![Rgb::ZERO; self.first.len() - 1];
-        for e in &self.members[self.first[p]..self.first[p + 1]] {
+        for e in self.of_patch(p) {
             let part = f64::from(self.part[*e as usize]) * matrix.batches() as f64;
             let row = matrix.at(*e as usize);
             row.batch(0).for_each(|(j, f)| sums[usize::from(self.patch[j])] += part * f);
@@ -100,11 +105,9 @@ impl Coarse {
 
     /// Mean over each patch.
     pub fn means(&self, values: &[Rgb]) -> Vec<Rgb> {
-        let mean = |f: &[usize]| {
-            let part = |e: &u32| f64::from(self.part[*e as usize]) * values[*e as usize];
-            self.members[f[0]..f[1]].iter().map(part).sum()
-        };
-        self.first.par_windows(2).map(mean).collect()
+        let part = |e: &u32| f64::from(self.part[*e as usize]) * values[*e as usize];
+        let mean = |p: usize| self.of_patch(p).iter().map(part).sum();
+        (0..self.first.len() - 1).into_par_iter().map(mean).collect()
     }
 
     /// `M^-1 r`.
