@@ -8,6 +8,8 @@ use crate::{Error, Result};
 const ELEMENT: f64 = 1700.0;
 /// Of it for each randomisation beyond 4.
 const RANDOMISATION: f64 = 270.0;
+/// Of the solver's vectors where tiles serve several replicas together, beside the entries of the tiles themselves.
+const TILED: f64 = 250.0;
 /// Entries for each ray where chains count every surface that they touch.
 const CHAIN: f64 = 2.0;
 /// Share of what is free that is taken where nobody says otherwise.
@@ -44,8 +46,11 @@ impl Need {
         } else {
             (CHAIN * f64::from(rays)).min(n * f64::from(batches))
         };
-        let again = if Tiles::are_worth(mesh.len(), batches as usize, channels == 0) { 1.0 } else { 0.0 };
-        Need { elements: n * (ELEMENT + more), matrix: n * row * 4.0 * (again + (1 + channels) as f64) }
+        let tiles = match Tiles::are_worth(mesh.len(), batches as usize, channels == 0) {
+            true => n * (4.0 * row + TILED),
+            false => 0.0,
+        };
+        Need { elements: n * (ELEMENT + more), matrix: n * row * 4.0 * (1 + channels) as f64 + tiles }
     }
 
     /// The fastest way that fits `limit` bytes.

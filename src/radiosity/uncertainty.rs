@@ -335,6 +335,7 @@ impl Turn<'_, '_> {
             let n = scale.len();
             let lanes = |k: usize| std::array::from_fn(|m| rough[m].as_ref().map_or([0.0; 4], |x| x[k]));
             let together: Vec<[[f32; 4]; TOGETHER]> = (0..n).into_par_iter().map(lanes).collect();
+            drop(rough);
             let batches = self.exchange.rows.batches();
             let lane = |k: usize, batch: usize| (0..self.count).find(|m| (self.pick)(k, *m) == batch);
             let gathered = tiles.multiply_each::<TOGETHER, _>(&together, lane, |x, m| x[m]);
