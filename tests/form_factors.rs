@@ -82,18 +82,6 @@ fn square(z: f64, up: bool) -> Vec<Point> {
     p
 }
 
-/// Directly opposed rectangles a x b at distance c (Howell C-11).
-fn opposed(a: f64, b: f64, c: f64) -> f64 {
-    let (x, y) = (a / c, b / c);
-    let (x1, y1) = (1.0 + x * x, 1.0 + y * y);
-    let terms = 0.5 * (x1 * y1 / (x1 + y1 - 1.0)).ln()
-        + x * y1.sqrt() * (x / y1.sqrt()).atan()
-        + y * x1.sqrt() * (y / x1.sqrt()).atan()
-        - x * x.atan()
-        - y * y.atan();
-    2.0 / (std::f64::consts::PI * x * y) * terms
-}
-
 /// Elements of a unit square.
 fn elements_of_square(size: f64) -> f64 {
     (1.0 / size).ceil().powi(2)

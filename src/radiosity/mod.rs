@@ -32,7 +32,7 @@ use crate::form_factor::{Check, EmitterIrradiance, EmitterRows, ExchangeMatrix, 
 use crate::mesh::{Mesh, NONE, Nodes};
 use crate::scene::Scene;
 use rayon::prelude::*;
-use solve::Aid;
+use solve::Acceleration;
 use std::f64::consts::PI;
 
 /// Loss of gathered light below which the exchange is made reciprocal.
@@ -146,20 +146,26 @@ pub fn solve(
     }
     let side: Vec<u32> = (0..n as u32).map(|e| mesh.side(e)).collect();
     let many = rows.kept().filter(|_| n >= coarse::LEAST_ELEMENTS);
-    let aid = match (symmetric::Symmetric::new(&exchange, &transport, &side), many) {
-        (Some(symmetric), _) => Aid::Symmetric(symmetric),
-        (None, Some(matrix)) => Aid::Coarse(coarse::Coarse::new(scene, &mesh, matrix, &transport)),
-        (None, None) => Aid::Balance,
+    let acceleration = match (symmetric::Symmetric::new(&exchange, &transport, &side), many) {
+        (Some(symmetric), _) => Acceleration::Symmetric(symmetric),
+        (None, Some(matrix)) => Acceleration::Coarse(coarse::Coarse::new(scene, &mesh, matrix, &transport)),
+        (None, None) => Acceleration::Balance,
     };
     let (irradiance, convergence) =
-        solve::solve(&exchange, &transport, &aid, &incident, Some(ones), tolerance)?;
+        solve::solve(&exchange, &transport, &acceleration, &incident, Some(ones), tolerance)?;
     let reflected = transport.reflect(&irradiance);
     let by_source = uncertainty::BySource {
         own: &|row, batch| light.rows.as_ref().map_or(Rgb::ZERO, |l| l.total(row, batch) * open(row)),
         particles: if found.is_some() { Some(&particles) } else { None },
     };
-    let replicas =
-        uncertainty::Replicas::new(&exchange, &transport, &aid, &irradiance, &by_source, scene.environment);
+    let replicas = uncertainty::Replicas::new(
+        &exchange,
+        &transport,
+        &acceleration,
+        &irradiance,
+        &by_source,
+        scene.environment,
+    );
     let emitted: Vec<Rgb> = (0..n as u32)
         .map(|e| {
             let (face, front, _) = mesh.place(e);
@@ -212,7 +218,7 @@ pub fn solve_irradiance(
     let rows = Rows::from(matrix);
     let sums = matrix.multiply(&vec![Rgb::ONE; matrix.len()]);
     let exchange = exchange::Exchange::new(rows, &sums);
-    solve::solve(&exchange, transport, &Aid::Balance, incident, None, tolerance)
+    solve::solve(&exchange, transport, &Acceleration::Balance, incident, None, tolerance)
 }
 
 /// Whether errors of reciprocity would be amplified: some element loses little of the light that it gathers.

@@ -58,7 +58,7 @@ impl Convergence {
 }
 
 /// What makes steps few.
-pub(super) enum Aid<'a, 'm> {
+pub(super) enum Acceleration<'a, 'm> {
     /// The mean light of the scene as a first guess.
     Balance,
     /// A coarse grid.
@@ -74,7 +74,7 @@ pub(super) enum Aid<'a, 'm> {
 pub(super) fn solve(
     exchange: &Exchange,
     transport: &Transport,
-    aid: &Aid,
+    acceleration: &Acceleration,
     incident: &[Rgb],
     ones: Option<Vec<Rgb>>,
     tolerance: f64,
@@ -112,8 +112,8 @@ pub(super) fn solve(
         _ => relative(r, norm) <= tolerance,
     };
     // The recurrence drifts from the true residual: start again from where it ended.
-    let mut x = match aid {
-        Aid::Symmetric(symmetric) => {
+    let mut x = match acceleration {
+        Acceleration::Symmetric(symmetric) => {
             let (mut x, mut count) =
                 symmetric.solve(incident, incident.to_vec(), done, MOST_STEPS / RESTARTS);
             for _ in 1..RESTARTS {
@@ -126,7 +126,7 @@ pub(super) fn solve(
             iterations += count;
             x
         }
-        Aid::Coarse(coarse) => {
+        Acceleration::Coarse(coarse) => {
             let mut x = coarse.precondition(incident);
             for _ in 0..RESTARTS {
                 let r = subtract(incident, &apply(&x));
@@ -142,7 +142,7 @@ pub(super) fn solve(
             }
             x
         }
-        Aid::Balance => {
+        Acceleration::Balance => {
             let mut state = Krylov::balanced(incident, &apply(incident), &bound.ones);
             for restart in 0..RESTARTS {
                 if restart > 0 {

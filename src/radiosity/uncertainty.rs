@@ -16,7 +16,7 @@
 
 use super::Transport;
 use super::exchange::{Exchange, MANY, round};
-use super::solve::{Aid, Krylov, combine, norm, subtract};
+use super::solve::{Acceleration, Krylov, combine, norm, subtract};
 use super::symmetric::Symmetric;
 use crate::color::Rgb;
 use crate::form_factor::Row;
@@ -85,7 +85,7 @@ impl Replicas {
     pub fn new(
         exchange: &Exchange,
         transport: &Transport,
-        aid: &Aid,
+        acceleration: &Acceleration,
         irradiance: &[Rgb],
         sources: &BySource,
         environment: Rgb,
@@ -95,7 +95,7 @@ impl Replicas {
             return Replicas { differences: Vec::new(), scale: f64::NAN, freedom: 0.0 };
         }
         let radiosity = transport.reflect(irradiance);
-        let parts = Parts::new(exchange, transport, aid, &radiosity, sources, environment);
+        let parts = Parts::new(exchange, transport, acceleration, &radiosity, sources, environment);
         let balanced = exchange.balance().map(|b| (b, b.gather(&radiosity, None)));
         let shared_mean: Option<Vec<Rgb>> = sources.particles.map(|particles| {
             (0..n).map(|k| (0..batches).map(|b| particles(k, b)).sum::<Rgb>() / batches as f64).collect()
@@ -126,13 +126,13 @@ impl Replicas {
                             .collect()
                     })
                     .collect();
-                if let Aid::Symmetric(symmetric) = aid {
+                if let Acceleration::Symmetric(symmetric) = acceleration {
                     for b in &different {
                         differences.push(linear(exchange, transport, symmetric, b));
                     }
                     continue;
                 }
-                let turn = Turn { exchange, transport, parts: &parts, count, pick: &pick, aid };
+                let turn = Turn { exchange, transport, parts: &parts, count, pick: &pick, acceleration };
                 for x in turn.solve(different) {
                     differences.push(x.iter().map(|x| x.as_vec3().to_array()).collect());
                 }
@@ -259,14 +259,14 @@ impl Parts {
     fn new(
         exchange: &Exchange,
         transport: &Transport,
-        aid: &Aid,
+        acceleration: &Acceleration,
         radiosity: &[Rgb],
         sources: &BySource,
         environment: Rgb,
     ) -> Parts {
         let outside = std::f64::consts::PI * environment;
-        let white = match aid {
-            Aid::Coarse(_) => None,
+        let white = match acceleration {
+            Acceleration::Coarse(_) => None,
             _ => Some(transport.reflect(&vec![Rgb::ONE; radiosity.len()])),
         };
         let batches = exchange.rows.batches();
@@ -319,7 +319,7 @@ impl Parts {
 struct Turn<'a, 'm> {
     exchange: &'a Exchange<'m>,
     transport: &'a Transport,
-    aid: &'a Aid<'a, 'm>,
+    acceleration: &'a Acceleration<'a, 'm>,
     parts: &'a Parts,
     /// How many they are.
     count: usize,
@@ -376,7 +376,7 @@ impl Turn<'_, '_> {
     fn solve(&self, b: Vec<Vec<Rgb>>) -> Vec<Vec<Rgb>> {
         let of = |all: &[Vec<Rgb>]| self.apply(std::array::from_fn(|m| all.get(m).map(|x| &x[..])));
         let norms: Vec<Rgb> = b.iter().map(|b| norm(b)).collect();
-        if let Aid::Coarse(coarse) = self.aid {
+        if let Acceleration::Coarse(coarse) = self.acceleration {
             let guess: Vec<Vec<Rgb>> = b.iter().map(|b| coarse.precondition(b)).collect();
             let a_guess = of(&guess);
             let from = |(b, a): (&Vec<Rgb>, Vec<Rgb>)| Krylov::new(vec![Rgb::ZERO; a.len()], subtract(b, &a));
@@ -419,8 +419,8 @@ impl Turn<'_, '_> {
             let multiply = |systems: &[Krylov], alive: &[bool], what: fn(&Krylov) -> &[Rgb]| {
                 let x: [Option<Cow<[Rgb]>>; TOGETHER] = std::array::from_fn(|m| {
                     let x = what(systems.get(m).filter(|_| alive[m])?);
-                    Some(match self.aid {
-                        Aid::Coarse(coarse) => Cow::Owned(coarse.precondition(x)),
+                    Some(match self.acceleration {
+                        Acceleration::Coarse(coarse) => Cow::Owned(coarse.precondition(x)),
                         _ => Cow::Borrowed(x),
                     })
                 });
