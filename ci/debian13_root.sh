@@ -32,7 +32,8 @@ inside() {
     chroot "$root" /usr/bin/env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LANG=C.UTF-8 TERM=dumb \
         "CI=${CI:-}" "http_proxy=${http_proxy:-}" "https_proxy=${https_proxy:-}" DEBIAN_FRONTEND=noninteractive \
         "CARGO_HOME=$home/cargo" "CARGO_TARGET_DIR=$home/target" CARGO_NET_OFFLINE=true \
-        "CARGO_INCREMENTAL=${CARGO_INCREMENTAL:-1}" "$@" </dev/null
+        "CARGO_INCREMENTAL=${CARGO_INCREMENTAL:-1}" \
+        "CARGO_PROFILE_TEST_DEBUG=${CARGO_PROFILE_TEST_DEBUG:-line-tables-only}" "$@" </dev/null
 }
 
 # What the host knows about reaching the network.

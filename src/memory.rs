@@ -20,8 +20,19 @@ const SHARE: f64 = 0.75;
 pub struct Need {
     /// Elements, solution and solver.
     pub elements: f64,
-    /// The matrix, and its entries by tiles where these are made, at most.
+    /// The matrix, at most.
     pub matrix: f64,
+    /// Its entries once more by tiles, where these are worth it.
+    pub tiles: f64,
+}
+
+/// What pass 1 does within its memory.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Plan {
+    /// What is done with form factors.
+    pub factors: Factors,
+    /// Whether entries that are kept may be ordered by tiles.
+    pub tiles: bool,
 }
 
 /// What is done with form factors.
@@ -50,20 +61,21 @@ impl Need {
             true => n * (4.0 * row + TILED),
             false => 0.0,
         };
-        Need { elements: n * (ELEMENT + more), matrix: n * row * 4.0 * (1 + channels) as f64 + tiles }
+        Need { elements: n * (ELEMENT + more), matrix: n * row * 4.0 * (1 + channels) as f64, tiles }
     }
 
     /// The fastest way that fits `limit` bytes.
     ///
     /// # Errors
     /// None does.
-    pub fn choose(&self, limit: u64) -> Result<Factors> {
+    pub fn choose(&self, limit: u64) -> Result<Plan> {
         let limit = limit as f64;
-        if self.elements + self.matrix <= limit {
-            return Ok(Factors::Kept);
+        let kept = self.elements + self.matrix;
+        if kept <= limit {
+            return Ok(Plan { factors: Factors::Kept, tiles: kept + self.tiles <= limit });
         }
         if self.elements <= limit {
-            return Ok(Factors::CastAgain);
+            return Ok(Plan { factors: Factors::CastAgain, tiles: false });
         }
         Err(Error::Usage(format!(
             "pass 1 needs {} even without a matrix of form factors, but may take {}: choose a larger --element-size, or \
@@ -130,9 +142,11 @@ mod tests {
 
     #[test]
     fn the_fastest_way_that_fits() {
-        let need = Need { elements: 1000.0, matrix: 9000.0 };
-        assert_eq!(need.choose(10_000).ok(), Some(Factors::Kept));
-        assert_eq!(need.choose(9_999).ok(), Some(Factors::CastAgain));
+        let need = Need { elements: 1000.0, matrix: 9000.0, tiles: 500.0 };
+        let plan = |factors, tiles| Some(Plan { factors, tiles });
+        assert_eq!(need.choose(10_500).ok(), plan(Factors::Kept, true));
+        assert_eq!(need.choose(10_499).ok(), plan(Factors::Kept, false));
+        assert_eq!(need.choose(9_999).ok(), plan(Factors::CastAgain, false));
         let refused = need.choose(999).expect_err("too little").to_string();
         assert!(refused.contains("--max-memory") && refused.contains("1000.0 B"), "{refused}");
     }

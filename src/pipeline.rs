@@ -4,7 +4,7 @@
 use crate::color::Rgb;
 use crate::emitters::Emitters;
 use crate::form_factor::{self, Casting, EmitterRows, EmitterWork, ProjectionMap, Recast, Rows, pass_on};
-use crate::memory::{Factors, Need};
+use crate::memory::{Factors, Need, Plan};
 use crate::mesh::{Mesh, NONE, Sides, default_element_size};
 use crate::radiosity::{self, Directional, EmitterLight, Solution};
 use crate::sampling::MAX_POINTS;
@@ -191,7 +191,8 @@ pub(crate) fn solve_mesh(
         1
     };
     let need = Need::new(&mesh, settings.rays, batches, channels);
-    let factors = limit.map_or(Ok(Factors::Kept), |limit| need.choose(limit))?;
+    let all = Plan { factors: Factors::Kept, tiles: true };
+    let Plan { factors, tiles } = limit.map_or(Ok(all), |limit| need.choose(limit))?;
     let samples = (settings.rays / 4).div_ceil(batches).max(16);
     // Particles cost no more than the rows' rays, where they can bring anything.
     let start = Instant::now();
@@ -248,7 +249,7 @@ pub(crate) fn solve_mesh(
                 (light.map(|light| (matrix, light)), rays)
             })?;
             let mut result = stage("solve", 0, observer, stages, || {
-                (finish(visibility, mesh.clone(), (&matrix).into(), emitters, light), 0)
+                (finish(visibility, mesh.clone(), (&matrix).into(), tiles, emitters, light), 0)
             })?;
             (result.stored, result.matrix_bytes) = (matrix.stored(), matrix.bytes());
             result
@@ -262,7 +263,7 @@ pub(crate) fn solve_mesh(
             })?;
             stage("solve", 0, observer, stages, || {
                 let before = recast.rays();
-                let result = finish(visibility, mesh.clone(), Rows::Cast(&recast), emitters, light);
+                let result = finish(visibility, mesh.clone(), Rows::Cast(&recast), tiles, emitters, light);
                 (result, recast.rays() - before)
             })?
         }
@@ -387,6 +388,7 @@ fn finish(
     visibility: &Visibility,
     mesh: Mesh,
     rows: Rows,
+    tiles: bool,
     emitters: &Emitters,
     light: EmitterLight,
 ) -> Result<Pass1Result> {
@@ -414,7 +416,7 @@ fn finish(
             100.0 * residuals.dropped
         ));
     }
-    let solution = radiosity::solve(scene, mesh, (rows, &check), emitters, light, TOLERANCE)?;
+    let solution = radiosity::solve(scene, mesh, (rows, &check, tiles), emitters, light, TOLERANCE)?;
     warnings.extend(radiosity::warnings(scene, &solution, rows));
     let factors = Factors::CastAgain;
     let open = rows.summary().iter().map(|s| s.exposed).collect();

@@ -126,7 +126,7 @@ fn oracle_boxes() {
     let Some(entries) = oracle("public_radiosity.json") else { return };
     for e in of_kind(&entries, "box_faces") {
         let scene = room(vector(&e["geometry"]["size"]), &lists(&e["rho"]), &lists(&e["E"])).load();
-        for (k, rays) in [(1, 65_536), (4, 4096), (8, 1024)] {
+        for (k, rays) in [(1, 16_384), (4, 2048), (8, 512)] {
             let exact = if k == 1 { &e["zonal"]["B"] } else { &e["refined"][format!("n{k}")] };
             let exact = lists(exact);
             let runs = radiosities(&scene, rays, 1.0 / f64::from(k));
@@ -179,7 +179,7 @@ fn oracle_open_plates() {
             files.polygon(&format!("p{k}"), &format!("m{k}"), &p);
         }
         let scene = files.load();
-        for (k, rays) in [(1, 65_536), (4, 4096), (8, 1024)] {
+        for (k, rays) in [(1, 16_384), (4, 2048), (8, 512)] {
             let exact = if k == 1 { &e["zonal"]["B"] } else { &e["refined"][format!("n{k}")] };
             let exact = numbers(exact);
             let runs = radiosities(&scene, rays, 1.0 / f64::from(k));

@@ -204,7 +204,7 @@ fn room_behind_rough_glass(roughness: f64, size: u32) -> Scene {
 fn frustum_agrees_with_lobe_sampling() {
     let mut failures = Vec::new();
     // One sample a pixel, four where there is more noise.
-    let rooms = [0.05, 0.2, 0.4, 0.7, 1.0].map(|r| (format!("floor {r}"), glossy_room(r, 16, false), 1));
+    let rooms = [0.05, 0.4, 1.0].map(|r| (format!("floor {r}"), glossy_room(r, 16, false), 1));
     let mirrors = [0.2, 0.7].map(|r| (format!("floor {r} beside a mirror"), glossy_room(r, 16, true), 1));
     let glass = [0.2, 0.7].map(|r| (format!("glass {r}"), room_behind_rough_glass(r, 8), 4));
     for (name, scene, spp) in rooms.into_iter().chain(mirrors).chain(glass) {

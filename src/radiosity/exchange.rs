@@ -73,7 +73,7 @@ impl<'m> Exchange<'m> {
                 if (ratio - 1.0).abs() <= MOST_CORRECTION { ratio } else { 1.0 }
             })
             .collect();
-        Exchange { rows, scale, balance: None, tiles: rows.kept().and_then(Tiles::new) }
+        Exchange { rows, scale, balance: None, tiles: None }
     }
 
     /// Makes the exchange reciprocal; `matrix` are its rows, which count rays: without specular chains. `area` holds the elements'
@@ -83,7 +83,11 @@ impl<'m> Exchange<'m> {
         let open = area.iter().zip(summary).map(|(a, s)| a * s.exposed).collect();
         let target = summary.iter().map(|s| 1.0 - s.escaped.x - s.absorbed.x - s.dropped.x).collect();
         self.balance = Some(Balance { matrix, area, open, target });
-        self.tiles = None;
+    }
+
+    /// Orders the entries by tiles where that is worth it: of many rows that are kept, count rays and are not made reciprocal.
+    pub fn make_tiles(&mut self) {
+        self.tiles = self.rows.kept().and_then(Tiles::new);
     }
 
     /// Of a reciprocal exchange, what makes it so.

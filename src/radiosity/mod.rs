@@ -101,11 +101,12 @@ impl Sources {
     }
 }
 
-/// Solves for the radiosity of every element; `check` is what [`Rows::check`] found.
+/// Solves for the radiosity of every element; `check` is what [`Rows::check`] found; `tiles` allows to keep the entries of many
+/// rows once more, by tiles, for speed.
 pub fn solve(
     scene: &Scene,
     mesh: Mesh,
-    (rows, check): (Rows, &Check),
+    (rows, check, tiles): (Rows, &Check, bool),
     emitters: &Emitters,
     light: EmitterLight,
     tolerance: f64,
@@ -143,6 +144,8 @@ pub fn solve(
     if let Some(matrix) = rows.kept().filter(|_| wants_reciprocity(scene, &ones)) {
         exchange.make_reciprocal(matrix, (0..n as u32).map(|e| mesh.area(e)).collect());
         ones = exchange::residual_operator(|x| exchange.gather(x), &transport, &vec![Rgb::ONE; n]);
+    } else if tiles {
+        exchange.make_tiles();
     }
     let side: Vec<u32> = (0..n as u32).map(|e| mesh.side(e)).collect();
     let many = rows.kept().filter(|_| n >= coarse::LEAST_ELEMENTS);
