@@ -11,6 +11,8 @@ use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
 /// Bytes that go into the file at a time: npyz writes each number by itself.
 const BUFFER: usize = 1 << 16;
+/// Bytes of an array's file before its values, at most.
+const HEADER: u64 = 1 << 16;
 
 /// A file that is being written.
 pub struct Writer<W: Write + Seek>(ZipWriter<W>);
@@ -80,17 +82,27 @@ impl<R: Read + Seek> Reader<R> {
         Ok(Reader(ZipArchive::new(file)?))
     }
 
+    /// Whether there is such an array.
+    pub fn has(&self, name: &str) -> bool {
+        self.0.index_for_name(&format!("{name}.npy")).is_some()
+    }
+
     /// The bytes of an array's `.npy` file, checked against their checksum; none where there is no such array.
     ///
     /// # Errors
-    /// The entry is damaged.
-    pub fn bytes(&mut self, name: &str) -> ZipResult<Option<Vec<u8>>> {
-        let mut entry = match self.0.by_name(&format!("{name}.npy")) {
+    /// The entry is damaged, or more than `most` bytes of values: a small file may hold any number of zeros.
+    pub fn bytes(&mut self, name: &str, most: u64) -> ZipResult<Option<Vec<u8>>> {
+        let entry = match self.0.by_name(&format!("{name}.npy")) {
             Err(ZipError::FileNotFound) => return Ok(None),
             found => found?,
         };
         let mut bytes = Vec::new();
-        entry.read_to_end(&mut bytes)?;
+        let most = most.saturating_add(HEADER);
+        // One more, so that the checksum is looked at where the entry ends in time.
+        entry.take(most + 1).read_to_end(&mut bytes)?;
+        if bytes.len() as u64 > most {
+            return Err(ZipError::InvalidArchive("it is longer than it can be".into()));
+        }
         Ok(Some(bytes))
     }
 }

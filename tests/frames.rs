@@ -1,6 +1,7 @@
 //! Many frames: pass 1 from a file, and cameras that move.
 
 use std::fs;
+use std::io::Read;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use twopass::image::read_exr;
@@ -126,6 +127,20 @@ fn a_compressed_solution_is_read() {
         files.done(&[&render, &PASS2]);
     }
     assert_eq!(files.pixels("s.exr"), files.pixels("c.exr"));
+
+    // 64 MiB of zeros take some 64 KiB.
+    let mut long = zip::ZipWriter::new(fs::File::create(files.path("l.npz")).unwrap());
+    for k in 0..stored.len() {
+        let mut entry = stored.by_index(k).unwrap();
+        long.start_file(entry.name().to_string(), options).unwrap();
+        std::io::copy(&mut entry, &mut long).unwrap();
+        if entry.name() == "radiosity.npy" {
+            std::io::copy(&mut std::io::repeat(0).take(1 << 26), &mut long).unwrap();
+        }
+    }
+    long.finish().unwrap();
+    let render = ["render", "scene.toml", "--quality", "mesh", "--solution", "l.npz", "-o", "l.exr"];
+    files.fails(&[&render], 1, &["l.npz", "damaged", "radiosity", "longer"]);
 }
 
 /// A frame does not depend on which others are rendered, nor on where pass 1 came from.

@@ -1,6 +1,6 @@
 //! Materials and light that break solvers and samplers.
 
-use super::build::{Point, SceneText, box_sides, plate};
+use super::build::{Point, SceneText, box_sides, plate, sphere};
 use super::exact::factor;
 use super::{Case, Outcome, Pace, compare, departure, mean, picture, said, solve, solved};
 use crate::Result;
@@ -68,6 +68,7 @@ pub(super) const CASES: &[Case] = &[
     seconds("light only through glass", "no straight connection", "path tracer", || only_by(Way::Glass)),
     seconds("light only by a mirror", "no straight connection", "path tracer", || only_by(Way::Mirror)),
     seconds("light only by a caustic", "no straight connection", "path tracer", || only_by(Way::Bowl)),
+    seconds("balls of mirror and of glass", "caustics twice or never", "path tracer", balls),
 ];
 
 const MIRROR: &str = "diffuse = 0.0\nspecular = 0.9\nroughness = 0.0";
@@ -299,6 +300,25 @@ fn rough() -> Result<Outcome> {
         .diffuse("lamp", 0.0, 5.0)
         .material("rough", "diffuse = 0.2\nspecular = 0.5\nroughness = 1.0");
     against_path(&text, 64, 4096)
+}
+
+/// A ball about `centre`.
+fn ball(radius: f64, centre: Point) -> Vec<Vec<Point>> {
+    let moved = |p: &Point| [0, 1, 2].map(|k| p[k] + centre[k]);
+    sphere(radius, 8, false).iter().map(|t| t.iter().map(moved).collect()).collect()
+}
+
+/// Curved bodies that gather and spread a lamp's light, seen from a wall.
+fn balls() -> Result<Outcome> {
+    let text = SceneText::new()
+        .head("[camera]\norigin = [0.5, 0.03, 0.5]\ntarget = [0.5, 1, 0.42]\nup = [0, 0, 1]\nfov = 70\nsize = [16, 16]")
+        .cuboid("", |_| "m".into(), [0.0; 3], [1.0; 3], true)
+        .polygon("lamp", "lamp", &plate([0.2, 0.8], [0.2, 0.8], 0.97, false))
+        .polygons("mirror ball", "mirror", &ball(0.2, [0.28, 0.55, 0.3]))
+        .polygons("glass ball", "glass", &ball(0.2, [0.72, 0.5, 0.3]))
+        .diffuse("m", 0.5, 0.0)
+        .diffuse("lamp", 0.0, 20.0);
+    against_path(&text.material("mirror", MIRROR).material("glass", GLASS), 16, 1024)
 }
 
 /// Means of an image by both passes and by the path tracer in eight independent parts, whose spread is the standard error.

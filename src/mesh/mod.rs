@@ -24,7 +24,7 @@ use glam::DVec3;
 pub const NONE: u32 = u32::MAX;
 
 /// Most elements of a scene: their factors alone would take tens of gigabytes.
-const MOST_ELEMENTS: u32 = 1 << 27;
+pub(crate) const MOST_ELEMENTS: u32 = 1 << 27;
 
 /// Index of a side of a face: `2 * face` is the front, `2 * face + 1` the back.
 pub fn side_index(face: u32, front: bool) -> usize {

@@ -54,7 +54,7 @@ pub(super) struct Balance<'m> {
     area: Vec<f64>,
     /// Their open parts [m^2].
     pub open: Vec<f64>,
-    /// Shares of rays that met elements.
+    /// Shares of rays that met elements; zero for elements that are covered.
     pub target: Vec<f64>,
 }
 
@@ -81,7 +81,11 @@ impl<'m> Exchange<'m> {
     pub fn make_reciprocal(&mut self, matrix: &'m ExchangeMatrix, area: Vec<f64>) {
         let summary = &matrix.summary;
         let open = area.iter().zip(summary).map(|(a, s)| a * s.exposed).collect();
-        let target = summary.iter().map(|s| 1.0 - s.escaped.x - s.absorbed.x - s.dropped.x).collect();
+        // Covered elements see nothing, not even themselves.
+        let met = |s: &RowSummary| {
+            if s.exposed > 0.0 { 1.0 - s.escaped.x - s.absorbed.x - s.dropped.x } else { 0.0 }
+        };
+        let target = summary.iter().map(met).collect();
         self.balance = Some(Balance { matrix, area, open, target });
     }
 

@@ -7,7 +7,7 @@ use super::reconstruct::Field;
 use super::solve::Convergence;
 use super::{CausticMap, Ledger, ObjectRadiosity, Solution};
 use crate::color::Rgb;
-use crate::mesh::{Division, Mesh, Nodes, Sides};
+use crate::mesh::{Division, MOST_ELEMENTS, Mesh, Nodes, Sides};
 use crate::npz::{Reader, Writer};
 use crate::scene::Scene;
 use crate::{Error, Result};
@@ -19,6 +19,8 @@ use std::path::Path;
 
 /// Number of the layout, and of the rules by which elements and nodes are numbered: changes with either.
 const FORMAT: u32 = 2;
+/// Bytes of what the file says about itself, at most.
+const MOST_META: u64 = 1 << 24;
 
 /// A solution that was read from a file.
 pub struct Kept {
@@ -128,7 +130,7 @@ impl<'a> Arrays<'a> {
             Error::parse(path, None, message)
         })?;
         let mut arrays = Arrays { npz, path, remedy: other, meta: Map::new() };
-        let Some(meta) = arrays.bytes("meta")? else {
+        let Some(meta) = arrays.bytes("meta", MOST_META)? else {
             return Err(arrays.refuse("is an .npz file, but no solution"));
         };
         arrays.remedy = solve(path);
@@ -181,9 +183,9 @@ impl<'a> Arrays<'a> {
         Error::parse(self.path, None, message)
     }
 
-    /// The bytes of an array's entry; none where there is no such array.
-    fn bytes(&mut self, name: &str) -> Result<Option<Vec<u8>>> {
-        self.npz.bytes(name).map_err(|e| self.damaged(format!("{name}: {e}")))
+    /// The bytes of an array's entry of at most `most` bytes of values; none where there is no such array.
+    fn bytes(&mut self, name: &str, most: u64) -> Result<Option<Vec<u8>>> {
+        self.npz.bytes(name, most).map_err(|e| self.damaged(format!("{name}: {e}")))
     }
 
     /// The values of an array, which has `shape` where one is given.
@@ -200,7 +202,8 @@ impl<'a> Arrays<'a> {
     }
 
     fn get<T: Deserialize>(&mut self, name: &str, shape: &[u64]) -> Result<Vec<T>> {
-        match self.bytes(name)? {
+        let most = shape.iter().product::<u64>() * size_of::<T>() as u64;
+        match self.bytes(name, most)? {
             Some(bytes) => self.values(name, &bytes, Some(shape)),
             None => Err(self.damaged(format!("it has no {name}"))),
         }
@@ -232,11 +235,8 @@ impl<'a> Arrays<'a> {
             return Err(self.damaged("its elements are not the scene's"));
         }
         let nodes = Nodes::new(scene, &mesh);
-        let caustic = if self.bytes("node_caustic")?.is_some() {
-            Some(self.field("node_caustic", &nodes)?)
-        } else {
-            None
-        };
+        let caustic =
+            if self.npz.has("node_caustic") { Some(self.field("node_caustic", &nodes)?) } else { None };
         let caustic_map = match self.meta.get("map_element_size") {
             None | Some(Value::Null) => None,
             Some(_) => {
@@ -271,7 +271,9 @@ impl<'a> Arrays<'a> {
     /// The elements: their levels tell those of an adaptive mesh.
     fn mesh(&mut self, scene: &Scene, sides: &Sides) -> Result<Mesh> {
         let size = self.size("element_size")?;
-        let Some(bytes) = self.bytes("level")? else { return Mesh::new(scene, sides, size, false) };
+        let Some(bytes) = self.bytes("level", MOST_ELEMENTS.into())? else {
+            return Mesh::new(scene, sides, size, false);
+        };
         let levels: Vec<u8> = self.values("level", &bytes, None)?;
         let division = Division::of_levels(scene, sides, size, &levels);
         let division = division.ok_or_else(|| self.damaged("level: no such mesh"))?;
@@ -279,7 +281,8 @@ impl<'a> Arrays<'a> {
     }
 
     fn objects(&mut self, scene: &Scene) -> Result<Vec<ObjectRadiosity>> {
-        let sides = self.bytes("side_object")?.unwrap_or_default();
+        let most = 2 * size_of::<i32>() * scene.objects.len();
+        let sides = self.bytes("side_object", most as u64)?.unwrap_or_default();
         let object: Vec<i32> = self.values("side_object", &sides, None)?;
         let n = object.len();
         let front: Vec<bool> = self.get("side_front", &[n as u64])?;

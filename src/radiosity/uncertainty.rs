@@ -46,9 +46,9 @@ pub struct ObjectRadiosity {
     pub name: String,
     /// The front by the right-hand rule.
     pub front: bool,
-    /// Area that has elements [m^2].
+    /// Area that has elements, without what others cover (of a side that is covered everywhere, all of it) [m^2].
     pub area: f64,
-    /// Area-weighted mean, emission included [W m^-2].
+    /// Mean over that area, emission included [W m^-2].
     pub radiosity: Rgb,
     /// Its standard error [W m^-2].
     pub standard_error: Rgb,
@@ -181,13 +181,14 @@ impl Replicas {
             .collect()
     }
 
-    /// Means over each side of each object that has elements.
+    /// Means over each side of each object that has elements; `open` has the shares of elements that are not covered.
     pub fn by_object(
         &self,
         scene: &Scene,
         mesh: &Mesh,
         transport: &Transport,
         radiosity: &[Rgb],
+        open: &[f64],
     ) -> Vec<ObjectRadiosity> {
         let mut of = std::collections::BTreeMap::<(u32, bool), usize>::new();
         let side = |e: u32| {
@@ -199,10 +200,15 @@ impl Replicas {
         });
         of.values_mut().enumerate().for_each(|(k, v)| *v = k);
         let slot: Vec<usize> = (0..mesh.len() as u32).map(|e| of[&side(e)]).collect();
+        let mut is_open = vec![false; of.len()];
+        slot.iter().zip(open).for_each(|(k, open)| is_open[*k] |= *open > 0.0);
+        let weight: Vec<f64> = (0..mesh.len())
+            .map(|e| mesh.area(e as u32) * if is_open[slot[e]] { open[e] } else { 1.0 })
+            .collect();
         let total = |values: &[Rgb]| {
             let mut sums = vec![Rgb::ZERO; of.len()];
             for (e, v) in values.iter().enumerate() {
-                sums[slot[e]] += *v * mesh.area(e as u32);
+                sums[slot[e]] += *v * weight[e];
             }
             sums
         };
