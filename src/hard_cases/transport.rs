@@ -318,7 +318,7 @@ fn balls() -> Result<Outcome> {
         .polygons("glass ball", "glass", &ball(0.2, [0.72, 0.5, 0.3]))
         .diffuse("m", 0.5, 0.0)
         .diffuse("lamp", 0.0, 20.0);
-    against_path(&text.material("mirror", MIRROR).material("glass", GLASS), 16, 1024)
+    against_path(&text.material("mirror", MIRROR).material("glass", GLASS), 16, 512)
 }
 
 /// Means of an image by both passes and by the path tracer in eight independent parts, whose spread is the standard error.
