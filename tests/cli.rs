@@ -310,7 +310,7 @@ fn solutions_hold_the_fixed_arrays() {
     room.done(&[&["solve", "scene.toml", "-o", "x.npz"], &QUICK[..]].concat());
     let open = || twopass::npz::Reader::new(fs::File::open(room.path("x.npz")).unwrap()).unwrap();
     let array = |name: &str| -> (Vec<u64>, Vec<f64>) {
-        let bytes = open().bytes(name).unwrap().unwrap_or_else(|| panic!("{name}"));
+        let bytes = open().bytes(name, 1 << 20).unwrap().unwrap_or_else(|| panic!("{name}"));
         let npy = npyz::NpyFile::new(&bytes[..]).unwrap();
         assert_eq!(npy.dtype().descr(), "'<f8'", "{name}");
         (npy.shape().to_vec(), npy.into_vec().unwrap())
@@ -330,11 +330,11 @@ fn solutions_hold_the_fixed_arrays() {
     let (_, normals) = array("normal");
     assert!(normals.chunks(3).all(|v| (v.iter().map(|x| x * x).sum::<f64>() - 1.0).abs() < 1e-12));
     {
-        let bytes = open().bytes("object").unwrap().unwrap();
+        let bytes = open().bytes("object", 1 << 20).unwrap().unwrap();
         let object = npyz::NpyFile::new(&bytes[..]).unwrap();
         assert_eq!((object.dtype().descr().as_str(), object.shape()), ("'<i4'", &[n][..]));
     }
-    let bytes = open().bytes("meta").unwrap().unwrap();
+    let bytes = open().bytes("meta", 1 << 20).unwrap().unwrap();
     let meta = npyz::NpyFile::new(&bytes[..]).unwrap();
     assert_eq!(meta.dtype().descr(), "'|u1'");
     let meta: serde_json::Value = serde_json::from_slice(&meta.into_vec::<u8>().unwrap()).unwrap();

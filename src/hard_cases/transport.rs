@@ -68,6 +68,7 @@ pub(super) const CASES: &[Case] = &[
     seconds("light only through glass", "no straight connection", "path tracer", || only_by(Way::Glass)),
     seconds("light only by a mirror", "no straight connection", "path tracer", || only_by(Way::Mirror)),
     seconds("light only by a caustic", "no straight connection", "path tracer", || only_by(Way::Bowl)),
+    case("translucent ball through a wall", "light from nothing", "balance of power", translucent),
     seconds("balls of mirror and of glass", "caustics twice or never", "path tracer", balls),
 ];
 
@@ -300,6 +301,20 @@ fn rough() -> Result<Outcome> {
         .diffuse("lamp", 0.0, 5.0)
         .material("rough", "diffuse = 0.2\nspecular = 0.5\nroughness = 1.0");
     against_path(&text, 64, 4096)
+}
+
+/// A translucent ball that a wall cuts: its elements are covered in part, on either side in another. What is emitted must be
+/// absorbed.
+fn translucent() -> Result<Outcome> {
+    let text = SceneText::new()
+        .cuboid("", |_| "m".into(), [0.0; 3], [1.0; 3], true)
+        .polygon("lamp", "lamp", &plate([0.35, 0.65], [0.35, 0.65], 0.97, false))
+        .polygons("ball", "sheet", &ball(0.2, [0.1, 0.5, 0.45]))
+        .diffuse("m", 0.98, 0.0)
+        .diffuse("lamp", 0.0, 20.0)
+        .material("sheet", "diffuse = 0.475\ndiffuse_transmission = 0.475");
+    let ledger = solve(&text.load()?, 1024, Some(0.1), 1)?.solution.ledger;
+    Ok(Outcome::Number { error: ledger.residual.x.abs(), standard_error: ledger.residual_error.x })
 }
 
 /// A ball about `centre`.

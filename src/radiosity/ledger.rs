@@ -1,5 +1,6 @@
 //! Where the power of a solved scene went.
 
+use super::Transport;
 use super::uncertainty::Replicas;
 use crate::color::Rgb;
 use crate::emitters::Emitters;
@@ -72,6 +73,7 @@ impl Ledger {
         mesh: &Mesh,
         rows: Rows,
         emitters: &Emitters,
+        transport: &Transport,
         emitted: &[Rgb],
         reflected: &[Rgb],
         irradiance: &[Rgb],
@@ -91,6 +93,7 @@ impl Ledger {
         let mut taken = vec![Rgb::ZERO; mesh.len()];
         let mut left = vec![Rgb::ZERO; mesh.len()];
         let mut kept = vec![Rgb::ONE; mesh.len()];
+        let open: Vec<f64> = rows.summary().iter().map(|s| s.exposed).collect();
         for e in 0..mesh.len() {
             let s = &rows.summary()[e];
             // Radiance is carried over index squared.
@@ -99,7 +102,7 @@ impl Ledger {
             if material.is_specular() {
                 kept[e] -= crate::form_factor::pass_on(material);
             }
-            let lost = kept[e] - material.diffuse - material.diffuse_transmission;
+            let lost = kept[e] - transport.given_back(e, &open);
             sum.absorbed += area * irradiance[e] * lost;
             taken[e] = area * (lost + material.diffuse * (s.absorbed + s.escaped + s.dropped));
             let leaving = area * (emitted[e] + reflected[e]);

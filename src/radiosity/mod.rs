@@ -115,15 +115,17 @@ pub fn solve(
 ) -> crate::Result<Solution> {
     let n = mesh.len();
     let batches = rows.batches();
-    let transport = Transport::of(scene, &mesh);
+    let mut transport = Transport::of(scene, &mesh);
+    let open: Vec<f64> = rows.summary().iter().map(|s| s.exposed).collect();
+    transport.conserve(&open);
     // Means over the open part of each element: covered parts receive nothing and are not seen.
-    let open = |row: usize| match rows.summary()[row].exposed {
+    let per_open = |row: usize| match open[row] {
         o if o > 0.0 => 1.0 / o,
         _ => 0.0,
     };
     let found = light.particles.as_ref();
     let particles = |row: usize, batch: usize| -> Rgb {
-        found.map_or(Rgb::ZERO, |p| p.by_element[row * batches + batch] * open(row))
+        found.map_or(Rgb::ZERO, |p| p.by_element[row * batches + batch] * per_open(row))
     };
     let sources: Vec<Sources> = (0..n)
         .map(|row| {
@@ -132,7 +134,7 @@ pub fn solve(
                 ..Default::default()
             };
             if let Some(light) = &light.rows {
-                sum.emitters = light.mean[row] * open(row);
+                sum.emitters = light.mean[row] * per_open(row);
             }
             if found.is_some() {
                 sum.particles = (0..batches).map(|b| particles(row, b)).sum::<Rgb>() / batches as f64;
@@ -158,9 +160,11 @@ pub fn solve(
     };
     let (irradiance, convergence) =
         solve::solve(&exchange, &transport, &acceleration, &incident, Some(ones), tolerance)?;
+    // The system's inverse has no negative entry: what is below zero is what is left of the residual.
+    let irradiance: Vec<Rgb> = irradiance.into_iter().map(|h| h.max(Rgb::ZERO)).collect();
     let reflected = transport.reflect(&irradiance);
     let by_source = uncertainty::BySource {
-        own: &|row, batch| light.rows.as_ref().map_or(Rgb::ZERO, |l| l.total(row, batch) * open(row)),
+        own: &|row, batch| light.rows.as_ref().map_or(Rgb::ZERO, |l| l.total(row, batch) * per_open(row)),
         particles: if found.is_some() { Some(&particles) } else { None },
     };
     let replicas = uncertainty::Replicas::new(
@@ -187,12 +191,21 @@ pub fn solve(
     let mapped = part(&|s| s.particles);
     let indirect: Vec<Rgb> = (0..n).map(|e| reflected[e] - direct[e] - image[e] - mapped[e]).collect();
     let nodes = Nodes::new(scene, &mesh);
-    let open: Vec<f64> = rows.summary().iter().map(|s| s.exposed).collect();
     let field = |values: &[Rgb]| Field::new(&mesh, &nodes, &open, values);
     let has_caustic = chain.iter().any(|c| c.max_element() > 0.0);
     let radiosity: Vec<Rgb> = emitted.iter().zip(&reflected).map(|(e, r)| *e + *r).collect();
     Ok(Solution {
-        ledger: Ledger::new(scene, &mesh, rows, emitters, &emitted, &reflected, &irradiance, &replicas),
+        ledger: Ledger::new(
+            scene,
+            &mesh,
+            rows,
+            emitters,
+            &transport,
+            &emitted,
+            &reflected,
+            &irradiance,
+            &replicas,
+        ),
         standard_error: replicas.by_element(scene, &mesh, &transport, &open),
         objects: replicas.by_object(scene, &mesh, &transport, &radiosity, &open),
         radiosity,
@@ -259,6 +272,26 @@ impl Transport {
             transmittance: (0..n).map(|e| material(e).diffuse_transmission).collect(),
             opposite,
         }
+    }
+
+    /// Makes the transmitted power what was received, where elements are open in part: radiosities and irradiances are means over
+    /// the `open` shares, and those of an element's two sides may differ. What meets a covered part is lost.
+    pub(crate) fn conserve(&mut self, open: &[f64]) {
+        for (e, o) in self.opposite.iter().enumerate().filter(|(_, o)| **o != NONE) {
+            let (here, there) = (open[e], open[*o as usize]);
+            self.transmittance[e] *= if there < here { there / here } else { 1.0 };
+        }
+    }
+
+    /// Of the power that an element receives, the share that it gives back on either side; `open` are the shares that
+    /// [`Transport::conserve`] was given.
+    fn given_back(&self, e: usize, open: &[f64]) -> Rgb {
+        let through = match self.opposite[e] {
+            NONE => Rgb::ZERO,
+            o if open[e] > 0.0 => self.transmittance[o as usize] * (open[o as usize] / open[e]),
+            _ => Rgb::ZERO,
+        };
+        self.reflectance[e] + through
     }
 
     /// `rho_i H_i + tau_i H'_i` of every element.

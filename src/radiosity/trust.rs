@@ -38,15 +38,68 @@ pub fn warnings(scene: &Scene, solution: &Solution, rows: Rows) -> Vec<String> {
         // Without standard errors nothing says how large a departure is by chance.
         if off > BALANCED + 4.0 * error {
             warnings.push(format!(
-                "power balance misses {:.2} % of the light (standard error {:.2} %): results are not to be trusted",
+                "power balance misses {:.2} % of the light (standard error {:.2} %): results are not to be trusted{}",
                 100.0 * off,
-                100.0 * error
+                100.0 * error,
+                bending(scene)
             ));
             break;
         }
     }
+    covered_sheets(scene, solution, rows, &mut warnings);
     cracks(scene, solution, rows, &mut warnings);
     warnings
+}
+
+/// What to look at where the balance fails and a scene has glass: of a surface that bends light and does not close a body,
+/// light leaves as if it were still inside.
+fn bending(scene: &Scene) -> String {
+    let bends = |k: u32| scene.faces.iter().any(|f| f.object == k && scene.material(f).bends());
+    let objects: Vec<u32> = (0..scene.objects.len() as u32).filter(|k| bends(*k)).collect();
+    if objects.is_empty() {
+        return String::new();
+    }
+    let names = named(objects.iter().map(|k| &scene.objects[*k as usize]));
+    format!("; glass must close a body, or say `thin = true` ({names})")
+}
+
+/// Names translucent objects that lie on others: what they let through there ends between the two.
+fn covered_sheets(scene: &Scene, solution: &Solution, rows: Rows, warnings: &mut Vec<String>) {
+    let (mesh, summary) = (&solution.mesh, rows.summary());
+    let mut lost = vec![0.0; scene.objects.len()];
+    for e in 0..mesh.len() as u32 {
+        let face = &scene.faces[mesh.place(e).0 as usize];
+        let material = scene.material(face);
+        if !material.is_translucent() {
+            continue;
+        }
+        let behind = match mesh.opposite(e) {
+            NONE => 0.0,
+            o => summary[o as usize].exposed,
+        };
+        let covered = (summary[e as usize].exposed - behind).max(0.0) * mesh.area(e);
+        lost[face.object as usize] +=
+            covered * color::mean(material.diffuse_transmission * solution.irradiance[e as usize]);
+    }
+    let l = &solution.ledger;
+    let (total, all) = (lost.iter().sum::<f64>(), color::mean(l.emitted + l.environment));
+    if total > BALANCED * all {
+        let mut objects: Vec<usize> = (0..lost.len()).filter(|k| lost[*k] > 0.0).collect();
+        objects.sort_by(|a, b| lost[*b].total_cmp(&lost[*a]));
+        warnings.push(format!(
+            "translucent surfaces touch or cut others: {:.2} % of the light passes through them into what covers them and is \
+             lost; leave a gap ({})",
+            100.0 * total / all,
+            named(objects.iter().map(|k| &scene.objects[*k]))
+        ));
+    }
+}
+
+/// Objects in a warning.
+fn named<'a>(objects: impl ExactSizeIterator<Item = &'a String>) -> String {
+    let more = objects.len() > NAMED;
+    let names = objects.take(NAMED).map(|n| format!("object \"{n}\""));
+    names.chain(more.then(|| "...".into())).collect::<Vec<_>>().join(", ")
 }
 
 fn uncertain(solution: &Solution, warnings: &mut Vec<String>) {
@@ -89,13 +142,11 @@ fn dark(scene: &Scene, solution: &Solution, warnings: &mut Vec<String>) {
         reached[object] |= found(k);
     }
     solution.objects.iter().for_each(|o| lit[o.object as usize] |= o.radiosity.max_element() > 0.0);
-    let named = |of: &dyn Fn(usize) -> bool| -> Option<String> {
+    let those = |of: &dyn Fn(usize) -> bool| -> Option<String> {
         let objects: Vec<usize> = (0..n).filter(|o| reflects[*o] && !lit[*o] && of(*o)).collect();
-        let names = objects.iter().take(NAMED).map(|o| format!("object \"{}\"", scene.objects[*o]));
-        let names: Vec<String> = names.chain((objects.len() > NAMED).then(|| "...".into())).collect();
-        (!objects.is_empty()).then(|| names.join(", "))
+        (!objects.is_empty()).then(|| named(objects.iter().map(|o| &scene.objects[*o])))
     };
-    if let Some(names) = named(&|o| reached[o]) {
+    if let Some(names) = those(&|o| reached[o]) {
         warnings.push(format!(
             "no ray found any light on what can be reached: it is shown black ({names}); cast more rays (--rays)"
         ));
@@ -111,7 +162,7 @@ fn dark(scene: &Scene, solution: &Solution, warnings: &mut Vec<String>) {
     for (_, face) in faces().filter(|(_, f)| !reached[f.object as usize]) {
         alone[face.object as usize] |= !edges(scene, face).iter().any(|e| beside.contains(e));
     }
-    if let Some(names) = named(&|o| !reached[o] && alone[o]) {
+    if let Some(names) = those(&|o| !reached[o] && alone[o]) {
         warnings.push(format!(
             "nothing was found to reach any side of some objects: they are shown black, as if enclosed ({names})"
         ));
