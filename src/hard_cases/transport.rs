@@ -68,6 +68,12 @@ pub(super) const CASES: &[Case] = &[
     seconds("light only through glass", "no straight connection", "path tracer", || only_by(Way::Glass)),
     seconds("light only by a mirror", "no straight connection", "path tracer", || only_by(Way::Mirror)),
     seconds("light only by a caustic", "no straight connection", "path tracer", || only_by(Way::Bowl)),
+    case(
+        "box without a bottom, albedo 0.98",
+        "covered elements that keep light for ever",
+        "balance of power",
+        open_box,
+    ),
     case("translucent ball through a wall", "light from nothing", "balance of power", translucent),
     seconds("balls of mirror and of glass", "caustics twice or never", "path tracer", balls),
 ];
@@ -303,16 +309,25 @@ fn rough() -> Result<Outcome> {
     against_path(&text, 64, 4096)
 }
 
-/// A translucent ball that a wall cuts: its elements are covered in part, on either side in another. What is emitted must be
-/// absorbed.
+/// A box on the floor whose inside no light reaches: it covers elements of the floor altogether.
+fn open_box() -> Result<Outcome> {
+    let sides = box_sides([0.3, 0.25, 0.0], [0.4, 0.35, 0.5], false);
+    balanced(sides.iter().filter(|s| s.0 != "z0").fold(SceneText::new(), |t, s| t.polygon(s.0, "m", &s.1)))
+}
+
+/// A translucent ball that a wall cuts: its elements are covered in part, on either side in another.
 fn translucent() -> Result<Outcome> {
-    let text = SceneText::new()
+    let text = SceneText::new().polygons("ball", "sheet", &ball(0.2, [0.1, 0.5, 0.45]));
+    balanced(text.material("sheet", "diffuse = 0.475\ndiffuse_transmission = 0.475"))
+}
+
+/// A bright room around something, with a lamp: what is emitted must be absorbed.
+fn balanced(text: SceneText) -> Result<Outcome> {
+    let text = text
         .cuboid("", |_| "m".into(), [0.0; 3], [1.0; 3], true)
         .polygon("lamp", "lamp", &plate([0.35, 0.65], [0.35, 0.65], 0.97, false))
-        .polygons("ball", "sheet", &ball(0.2, [0.1, 0.5, 0.45]))
         .diffuse("m", 0.98, 0.0)
-        .diffuse("lamp", 0.0, 20.0)
-        .material("sheet", "diffuse = 0.475\ndiffuse_transmission = 0.475");
+        .diffuse("lamp", 0.0, 20.0);
     let ledger = solve(&text.load()?, 1024, Some(0.1), 1)?.solution.ledger;
     Ok(Outcome::Number { error: ledger.residual.x.abs(), standard_error: ledger.residual_error.x })
 }

@@ -54,12 +54,13 @@ pub fn warnings(scene: &Scene, solution: &Solution, rows: Rows) -> Vec<String> {
 /// What to look at where the balance fails and a scene has glass: of a surface that bends light and does not close a body,
 /// light leaves as if it were still inside.
 fn bending(scene: &Scene) -> String {
-    let bends = |k: u32| scene.faces.iter().any(|f| f.object == k && scene.material(f).bends());
-    let objects: Vec<u32> = (0..scene.objects.len() as u32).filter(|k| bends(*k)).collect();
+    let mut bends = vec![false; scene.objects.len()];
+    scene.faces.iter().for_each(|f| bends[f.object as usize] |= scene.material(f).bends());
+    let objects: Vec<usize> = (0..bends.len()).filter(|k| bends[*k]).collect();
     if objects.is_empty() {
         return String::new();
     }
-    let names = named(objects.iter().map(|k| &scene.objects[*k as usize]));
+    let names = named(objects.iter().map(|k| &scene.objects[*k]));
     format!("; glass must close a body, or say `thin = true` ({names})")
 }
 
