@@ -80,13 +80,14 @@ pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Foun
     let rows = rows(if few || request.error.is_none() { request.rays } else { request.rays.min(FEW_RAYS) });
     let batches = if few { pairs::BATCHES } else { pairs::FEW_BATCHES };
     let points = request.rays / (mesh.len().max(1) * batches) as u32;
+    let asked = if request.by_object { None } else { request.error };
     let mut work = PairWork {
         points: 1 << points.max(1).ilog2().min(pairs::MOST_POINTS.ilog2()),
         batches,
-        error: if request.by_object { None } else { request.error },
+        error: asked,
         floor: request.floor,
         tolerance: if few { analytic::EXACT } else { QUICK.max(0.01 * request.error.unwrap_or(0.0)) },
-        by_cells: !few,
+        cells: (!few).then_some(asked.unwrap_or(pairs::CELL_ERROR)),
         unoccluded: false,
         seed: request.seed,
         progress: &|_| (),
@@ -111,6 +112,7 @@ pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Foun
             return Found { estimates, achieved, rays, blocked: Vec::new() };
         };
         work.points = more(work.points, short, pairs::MOST_POINTS);
+        work.cells = work.cells.map(|error| error / (2.0 * short));
     }
 }
 
@@ -134,7 +136,7 @@ fn lamps(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Option<FewP
         error: None,
         floor: LAMP_FLOOR,
         tolerance: LAMP,
-        by_cells: true,
+        cells: Some(pairs::CELL_ERROR),
         unoccluded: false,
         seed: request.seed,
         progress: &|_| (),
@@ -165,7 +167,7 @@ pub fn unoccluded(
         error: None,
         floor: 0.0,
         tolerance: analytic::EXACT,
-        by_cells: false,
+        cells: None,
         unoccluded: true,
         seed,
         progress,

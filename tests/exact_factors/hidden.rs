@@ -218,6 +218,54 @@ fn many_bodies_by_cells() {
     assert!(largest < 0.015);
 }
 
+/// A drum of 100 sides between two squares is one body, as large a number of corners as its outline gives what is seen
+/// past it: the factor meets the error that is asked for, and agrees with hemisphere rays within [`T15`] errors of both.
+#[test]
+fn a_body_of_many_sides_is_one() {
+    const SIDES: usize = 100;
+    let corner = |k: usize, z: f64| {
+        let (sin, cos) = (std::f64::consts::TAU * k as f64 / SIDES as f64).sin_cos();
+        [0.5 + 0.3 * cos, 0.5 + 0.3 * sin, z]
+    };
+    let (bottom, top) = (0.3, 0.65);
+    let side = |k: usize| {
+        let next = (k + 1) % SIDES;
+        vec![corner(k, bottom), corner(next, bottom), corner(next, top), corner(k, top)]
+    };
+    let mut drum: Vec<_> = (0..SIDES).map(side).collect();
+    for k in 1..SIDES - 1 {
+        drum.push(vec![corner(0, bottom), corner(k + 1, bottom), corner(k, bottom)]);
+        drum.push(vec![corner(0, top), corner(k, top), corner(k + 1, top)]);
+    }
+    let scene = scene(&[("a", vec![square(0.0, true)]), ("b", vec![square(1.0, false)]), ("drum", drum)]);
+    let device = device();
+    let visibility = Visibility::new(&device, &scene).expect("tree");
+    let mesh = Mesh::new(&scene, &Sides::fronts(&scene), 1e9, true).expect("mesh");
+    let found = estimate(&visibility, &mesh, &Request { error: Some(1e-3), ..request(64, 1) });
+    let counts = found.pairs().expect("an error was asked for").counts;
+    assert_eq!((counts.cells, counts.shadows, counts.rays, counts.missed), (1, 0, 0, 0), "{counts:?}");
+    let table = found.table(&scene, &mesh, 0.0);
+    let (factor, stated) = (table.form_factors[0][1], table.standard_errors[0][1]);
+    let casting = Casting {
+        rays: 1 << 20,
+        batches: 16,
+        seed: 3,
+        specular: false,
+        reached: None,
+        emitters: None,
+        progress: &|_| (),
+    };
+    let object = |e: usize| scene.faces[mesh.place(e as u32).0 as usize].object;
+    let lower: Vec<bool> = (0..mesh.len()).map(|e| object(e) == 0).collect();
+    let rows = cast_rows(&visibility, &mesh, &casting, Some(&lower)).0;
+    let a = lower.iter().position(|is| *is).expect("one element");
+    let seen = |k: usize| rows.batch(a, k).filter(|(j, _)| object(*j) == 1).map(|(_, f)| 16.0 * f.x).sum();
+    let (mean, error) = mean_error(&(0..16).map(seen).collect::<Vec<f64>>());
+    eprintln!("{factor:.6} +- {stated:.1e}, by rays {mean:.6} +- {error:.1e}");
+    assert!(stated <= 1e-3 * factor && error <= 2e-3 * mean);
+    assert!((factor - mean).abs() <= T15 * stated.hypot(error));
+}
+
 /// A room with a box, as a file of few faces that are cut into elements and as a file of as many faces as elements: the same factors.
 #[test]
 fn faces_that_continue_each_other_block_as_one() {

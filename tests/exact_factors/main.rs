@@ -10,7 +10,9 @@ use common::*;
 use glam::DVec3;
 use std::f64::consts::PI;
 use twopass::form_factor::analytic::{EXACT, Polygon, differential, exchange};
-use twopass::form_factor::{Casting, Estimates, Factors, ObjectTable, Request, cast, estimate, unoccluded};
+use twopass::form_factor::{
+    Casting, Estimates, Factors, ObjectTable, Request, cast, cast_rows, estimate, unoccluded,
+};
 use twopass::mesh::{Mesh, Sides};
 use twopass::scene::Scene;
 use twopass::visibility::Visibility;

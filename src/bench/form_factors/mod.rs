@@ -150,7 +150,8 @@ impl Method {
             }
             Method::Pairs => {
                 let error = Some(10f64.powi(-(setting as i32)));
-                let work = PairWork { error, floor: FLOOR, ..pair_work(seed) };
+                let work = pair_work(seed);
+                let work = PairWork { error, cells: error.or(work.cells), floor: FLOOR, ..work };
                 of_pairs(PairFactors::new(&tree()?, mesh, &work))
             }
             Method::Exact => {

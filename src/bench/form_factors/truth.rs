@@ -3,7 +3,7 @@
 use super::cases::{Answer, Configuration};
 use crate::Result;
 use crate::form_factor::analytic::EXACT;
-use crate::form_factor::pairs::{FEW_BATCHES, PairFactors, PairWork};
+use crate::form_factor::pairs::{CELL_ERROR, FEW_BATCHES, PairFactors, PairWork};
 use crate::form_factor::{Casting, Factors, cast_rows};
 use crate::visibility::Visibility;
 
@@ -48,7 +48,7 @@ impl Truth {
             }
             Answer::Pairs { points } => {
                 // By points: their standard errors are known, and they share nothing with cells.
-                let work = PairWork { points, by_cells: false, ..pair_work(SEED) };
+                let work = PairWork { points, cells: None, ..pair_work(SEED) };
                 let pairs = PairFactors::new(visibility, mesh, &work);
                 let c = pairs.counts;
                 Ok(Truth::of_pairs(&pairs, n, |se| {
@@ -168,7 +168,7 @@ pub(super) fn pair_work(seed: u32) -> PairWork<'static> {
         floor: 0.0,
         tolerance: 1e-5,
         unoccluded: false,
-        by_cells: true,
+        cells: Some(CELL_ERROR),
         seed,
         progress: &|_| (),
     }

@@ -8,8 +8,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// Thickness of a body, in units of what counts as touching.
 const THICK: f64 = 1e3;
-/// Most planes of a body; the bits of a number stand for them.
-const MOST_PLANES: usize = 64;
+/// Most planes of a body.
+const MOST_PLANES: usize = 1024;
 /// Sines below this have no direction.
 const COLLINEAR: f64 = 1e-12;
 
@@ -25,6 +25,17 @@ pub struct Body {
     /// The polygon, where there is only one.
     flat: Option<Polygon>,
     eps: f64,
+}
+
+/// A set of a body's planes; a buffer, too.
+#[derive(Clone, Default)]
+pub struct PlaneSet(Vec<u64>);
+
+impl PlaneSet {
+    #[inline]
+    fn has(&self, plane: usize) -> bool {
+        self.0[plane / 64] >> (plane % 64) & 1 == 1
+    }
 }
 
 /// An edge between two planes of a body; seen from before the first plane alone, the body lies to its left.
@@ -229,29 +240,32 @@ impl Body {
         found
     }
 
-    /// Bit k is set where the point lies before plane k.
+    /// The planes that a point lies before.
     #[inline]
-    fn before(&self, point: DVec3) -> u64 {
+    fn before(&self, point: DVec3, set: &mut PlaneSet) {
         let bit = |(k, (o, n)): (usize, &(DVec3, DVec3))| u64::from((point - *o).dot(*n) > 0.0) << k;
-        self.planes.iter().enumerate().map(bit).fold(0, |all, bit| all | bit)
+        let word = |planes: &[_]| planes.iter().enumerate().map(bit).fold(0, |all, bit| all | bit);
+        set.0.clear();
+        set.0.extend(self.planes.chunks(64).map(word));
     }
 
-    /// Bit k is set where a polygon reaches before plane k.
-    pub fn reached(&self, polygon: &Polygon) -> u64 {
-        polygon.corners().iter().map(|c| self.before(*c)).fold(0, |all, bits| all | bits)
+    /// The planes that a polygon reaches before.
+    pub fn reached(&self, polygon: &Polygon) -> PlaneSet {
+        let (mut all, mut set) = (PlaneSet(vec![0; self.planes.len().div_ceil(64)]), PlaneSet::default());
+        for corner in polygon.corners() {
+            self.before(*corner, &mut set);
+            all.0.iter_mut().zip(&set.0).for_each(|(word, other)| *word |= other);
+        }
+        all
     }
 
     /// Calls `visit` with the ends, relative to a point, of each edge of the outline that the body shows it; the body
     /// lies on the side away from their cross product.
     #[inline]
-    pub fn outline(&self, viewer: DVec3, visit: impl FnMut(DVec3, DVec3)) {
-        self.outline_of(viewer, self.before(viewer), visit);
-    }
-
-    #[inline]
-    fn outline_of(&self, viewer: DVec3, before: u64, mut visit: impl FnMut(DVec3, DVec3)) {
+    pub fn outline(&self, viewer: DVec3, before: &mut PlaneSet, mut visit: impl FnMut(DVec3, DVec3)) {
+        self.before(viewer, before);
         for edge in &self.edges {
-            let [first, second] = edge.planes.map(|k| before >> k & 1 == 1);
+            let [first, second] = edge.planes.map(|k| before.has(k));
             if first != second {
                 let (p, q) = (edge.ends[0] - viewer, edge.ends[1] - viewer);
                 if first { visit(p, q) } else { visit(q, p) }
@@ -261,22 +275,29 @@ impl Body {
 
     /// The shadow that the body casts from a point, as half-spaces: each a plane's point and outward normal (of any
     /// length); of the body's own planes those alone that `reached` names. False where the point lies within the body.
-    pub fn shadow(&self, viewer: DVec3, reached: u64, shadow: &mut Vec<(DVec3, DVec3)>) -> bool {
+    pub fn shadow(
+        &self,
+        viewer: DVec3,
+        reached: &PlaneSet,
+        set: &mut PlaneSet,
+        shadow: &mut Vec<(DVec3, DVec3)>,
+    ) -> bool {
         shadow.clear();
-        let before = self.before(viewer);
-        self.outline_of(viewer, before, |p, q| {
+        self.outline(viewer, set, |p, q| {
             let normal = p.cross(q);
             let least = COLLINEAR * COLLINEAR * p.length_squared() * q.length_squared();
             if normal.length_squared() > least {
                 shadow.push((viewer, normal));
             }
         });
-        let mut own = before & reached;
-        while own != 0 {
-            shadow.push(self.planes[own.trailing_zeros() as usize]);
-            own &= own - 1;
+        for (k, (before, reached)) in set.0.iter().zip(&reached.0).enumerate() {
+            let mut own = before & reached;
+            while own != 0 {
+                shadow.push(self.planes[64 * k + own.trailing_zeros() as usize]);
+                own &= own - 1;
+            }
         }
-        before != 0
+        set.0.iter().any(|word| *word != 0)
     }
 
     /// The parts of an element's polygon that the body, which may stand on it, leaves open.

@@ -15,7 +15,7 @@
 //! that were asked for to 1 %: 2 in 100,000 of the Cornell box are farther off, 1.9 % at most; 60 in 100,000 of the gallery,
 //! where up to 64 bodies lie between, 7 % at most.
 
-use super::body::Body;
+use super::body::{Body, PlaneSet};
 use super::look::{Looker, Target};
 use crate::form_factor::analytic::{Cut, Polygon};
 use glam::{DVec2, DVec3};
@@ -42,6 +42,7 @@ const MOVED: f64 = 0.25;
 pub struct Cells {
     cells: Vec<Cell>,
     planes: Vec<DVec3>,
+    before: PlaneSet,
     /// Doubt in cells (bits of a number that is not negative) and their places.
     worst: BinaryHeap<(u64, usize)>,
     looker: Looker,
@@ -252,7 +253,7 @@ impl Cells {
         for body in bodies {
             for &corner in b.corners() {
                 self.planes.clear();
-                body.outline(corner, |p, q| {
+                body.outline(corner, &mut self.before, |p, q| {
                     let normal = p.cross(q);
                     if crosses(a, corner, normal) && spans(a, corner, [p, q], normal) {
                         self.planes.push(normal);

@@ -1,6 +1,6 @@
 //! What a point sees of a polygon past convex bodies.
 
-use super::body::Body;
+use super::body::{Body, PlaneSet};
 use super::ring::{Cover, Planes, Ring, Rings, clip, cover, moment};
 use crate::form_factor::analytic::{Polygon, lambert};
 use glam::DVec3;
@@ -23,7 +23,7 @@ pub struct Target<'a> {
     size: Size,
     bodies: &'a [&'a Body],
     /// Planes of each body that the polygon reaches before.
-    reached: Vec<u64>,
+    reached: Vec<PlaneSet>,
     /// Planes between the polygon and each body, as [`Body::between`] has them; none where bodies are few.
     past: Vec<Vec<(DVec3, DVec3)>>,
 }
@@ -44,6 +44,7 @@ pub struct Looker {
     /// Bodies that may hide something from where it is.
     active: Vec<usize>,
     shadow: Planes,
+    before: PlaneSet,
     /// Parts that bodies hide, alone or together, to be added up with these signs.
     hidden: Rings,
     signs: Vec<f64>,
@@ -104,8 +105,8 @@ impl Looker {
         self.hidden.clear();
         self.signs.clear();
         for &k in &self.active {
-            let (body, reached) = (target.bodies[k], target.reached[k]);
-            if !body.shadow(viewer, reached, &mut self.shadow) {
+            let (body, reached) = (target.bodies[k], &target.reached[k]);
+            if !body.shadow(viewer, reached, &mut self.before, &mut self.shadow) {
                 if body.is_solid() {
                     return (0.0, whole);
                 }
@@ -120,14 +121,14 @@ impl Looker {
                         return self.look_past(viewer, normal, target, whole);
                     }
                     let at = clip(polygon.corners(), &self.shadow, crossed, &mut self.clipped);
-                    if self.clipped[at].len < 3 {
+                    if self.clipped[at].corners().len() < 3 {
                         continue;
                     }
                     self.hidden.push(self.clipped[at].corners());
                     self.signs.push(1.0);
                     for k in 0..count {
                         let at = clip(self.hidden.get(k), &self.shadow, u64::MAX, &mut self.clipped);
-                        if self.clipped[at].len >= 3 {
+                        if self.clipped[at].corners().len() >= 3 {
                             self.hidden.push(self.clipped[at].corners());
                             self.signs.push(-self.signs[k]);
                         }
@@ -170,8 +171,8 @@ impl Looker {
         self.pieces.clear();
         self.pieces.push(target.polygon.corners());
         for &k in &self.active {
-            let (body, reached) = (target.bodies[k], target.reached[k]);
-            if !body.shadow(viewer, reached, &mut self.shadow) {
+            let (body, reached) = (target.bodies[k], &target.reached[k]);
+            if !body.shadow(viewer, reached, &mut self.before, &mut self.shadow) {
                 if body.is_solid() {
                     return (0.0, whole);
                 }
@@ -198,13 +199,13 @@ impl Looker {
                     let [a, b] = &mut self.clipped;
                     let (source, within) = if from == 0 { (a, b) } else { (b, a) };
                     source.behind(point, outward, within);
-                    if within.len < 3 {
+                    if within.corners().len() < 3 {
                         // Nothing is in the shadow: the whole piece stays as it is.
                         self.rest.truncate(first);
                         self.rest.push(piece);
                         break;
                     }
-                    if self.out.len >= 3 {
+                    if self.out.corners().len() >= 3 {
                         self.rest.push(self.out.corners());
                     }
                     std::mem::swap(&mut from, &mut to);

@@ -69,8 +69,9 @@ pub struct PairWork<'a> {
     pub floor: f64,
     /// Relative error of unoccluded factors, at least 1e-11.
     pub tolerance: f64,
-    /// Partly hidden pairs are integrated cell by cell where few bodies lie between, rather than by points.
-    pub by_cells: bool,
+    /// Partly hidden pairs are integrated cell by cell, to this relative error, where few bodies lie between; all by points
+    /// where none is given.
+    pub cells: Option<f64>,
     /// Ignore what lies between.
     pub unoccluded: bool,
     /// Seed.
@@ -78,6 +79,9 @@ pub struct PairWork<'a> {
     /// Called with the number of elements finished.
     pub progress: &'a (dyn Fn(u64) + Sync),
 }
+
+/// Relative error of integrals over cells where none is asked for.
+pub const CELL_ERROR: f64 = 0.01;
 
 /// Most points of one randomisation of a pair.
 pub const MOST_POINTS: u32 = 4096;
@@ -389,7 +393,7 @@ impl<'a, 's> Shared<'a, 's> {
         if !work.unoccluded {
             shared.bodies = Body::all(&surfaces);
             shared.between = shared.all_between();
-            if work.by_cells {
+            if work.cells.is_some() {
                 let bodies = &shared.bodies;
                 shared.elements.iter_mut().for_each(|e| e.find_open(bodies));
             }

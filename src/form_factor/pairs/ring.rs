@@ -1,19 +1,13 @@
-//! Convex polygons clipped by shadows, in a fixed place.
+//! Convex polygons clipped by shadows, in buffers that are used again.
 
 use glam::DVec3;
-
-/// Corners of a clipped polygon: what goes beyond is cut off.
-const MOST_CORNERS: usize = 16;
 
 /// Half-spaces that make one shadow: a point of each border and its outward direction.
 pub type Planes = Vec<(DVec3, DVec3)>;
 
-/// Corners of a convex polygon, in a fixed place.
-#[derive(Clone, Copy, Default)]
-pub struct Ring {
-    corners: [DVec3; MOST_CORNERS],
-    pub len: usize,
-}
+/// Corners of a convex polygon: as many as the outline of what cuts it.
+#[derive(Default)]
+pub struct Ring(Vec<DVec3>);
 
 /// How much of a polygon a shadow covers.
 pub enum Cover {
@@ -54,7 +48,7 @@ pub fn clip(corners: &[DVec3], shadow: &[(DVec3, DVec3)], crossed: u64, buffers:
             let (from, to) = if at == 0 { (&*a, &mut *b) } else { (&*b, &mut *a) };
             from.behind(point, outward, to);
             at = 1 - at;
-            if to.len < 3 {
+            if to.corners().len() < 3 {
                 break;
             }
         }
@@ -102,27 +96,21 @@ impl Rings {
 
 impl Ring {
     pub fn corners(&self) -> &[DVec3] {
-        &self.corners[..self.len]
+        &self.0
     }
 
     pub fn set(&mut self, corners: &[DVec3]) {
-        self.corners[..corners.len()].copy_from_slice(corners);
-        self.len = corners.len();
-    }
-
-    #[inline]
-    fn push(&mut self, corner: DVec3) {
-        self.len = self.len.min(MOST_CORNERS - 1);
-        self.corners[self.len] = corner;
-        self.len += 1;
+        self.0.clear();
+        self.0.extend_from_slice(corners);
     }
 
     /// The part behind a plane.
     pub fn behind(&self, point: DVec3, normal: DVec3, part: &mut Ring) {
-        part.len = 0;
-        let mut from = self.corners[self.len - 1];
+        let part = &mut part.0;
+        part.clear();
+        let Some(&(mut from)) = self.0.last() else { return };
         let mut d = (from - point).dot(normal);
-        for &to in &self.corners[..self.len] {
+        for &to in &self.0 {
             let e = (to - point).dot(normal);
             // From the end that lies behind, so that both sides of a cut get the same corner.
             if d > 0.0 && e < 0.0 {

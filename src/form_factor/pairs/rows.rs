@@ -17,8 +17,6 @@ use std::ops::Range;
 
 /// Bodies between two elements beyond which points are cheaper than cells.
 const MOST_BODIES: usize = 64;
-/// Relative error of integrals over cells where none is asked for.
-const CELL_ERROR: f64 = 0.01;
 /// Least standard error of integrals over cells, as a share of the factor: 98 % of those of the Cornell box are then within two.
 const LEAST: f64 = 1e-4;
 /// Faces in a shaft beyond which rays are cheaper than shadows.
@@ -148,8 +146,8 @@ impl Shared<'_, '_> {
             row.counts.free += 1;
             return (exchange_facing(pa, pb, self.tolerance()), None);
         }
-        if self.work.by_cells {
-            if let Some(found) = self.by_cells(scratch, (i, j), (pa, pb), row) {
+        if let Some(relative) = self.work.cells {
+            if let Some(found) = self.by_cells(scratch, (i, j), (pa, pb), relative, row) {
                 return found;
             }
         }
@@ -204,6 +202,7 @@ impl Shared<'_, '_> {
         scratch: &mut Scratch,
         (i, j): (usize, usize),
         (pa, pb): (&Polygon, &Polygon),
+        relative: f64,
         row: &mut Row,
     ) -> Option<(f64, Option<Estimate>)> {
         let mut between: Vec<&Body> = Vec::new();
@@ -236,7 +235,6 @@ impl Shared<'_, '_> {
             between.iter().map(|body| body.distance(middle) / size).fold(f64::INFINITY, f64::min)
         };
         let largest = full / self.elements[i].area.min(self.elements[j].area);
-        let relative = self.work.error.unwrap_or(CELL_ERROR);
         let accuracy = Accuracy { relative, floor: self.work.floor / largest };
         let found = if distance(pa) >= distance(pb) {
             scratch.cells.fraction(pa, pb, &between, accuracy)
