@@ -75,6 +75,7 @@ pub(super) const CASES: &[Case] = &[
         open_box,
     ),
     case("translucent ball through a wall", "light from nothing", "balance of power", translucent),
+    case("translucent box on the floor", "light lost in the contact", "furnace", lantern),
     seconds("balls of mirror and of glass", "caustics twice or never", "path tracer", balls),
 ];
 
@@ -319,6 +320,20 @@ fn open_box() -> Result<Outcome> {
 fn translucent() -> Result<Outcome> {
     let text = SceneText::new().polygons("ball", "sheet", &ball(0.2, [0.1, 0.5, 0.45]));
     balanced(text.material("sheet", "diffuse = 0.475\ndiffuse_transmission = 0.475"))
+}
+
+/// A translucent box that stands on the floor, its bottom in the floor's plane. It absorbs nothing, as does the floor, and the
+/// walls glow: light fills the room and the box evenly.
+fn lantern() -> Result<Outcome> {
+    let material = |side: &str| if side == "z0" { "floor".into() } else { "m".into() };
+    let text = SceneText::new()
+        .cuboid("", material, [0.0; 3], [1.0; 3], true)
+        .cuboid("box-", |_| "sheet".into(), [0.31, 0.27, 0.0], [0.4, 0.35, 0.5], false)
+        .diffuse("m", 0.7, 1.0)
+        .diffuse("floor", 1.0, 0.0)
+        .material("sheet", "diffuse = 0.4\ndiffuse_transmission = 0.6");
+    let everywhere = ["x0", "z0", "z1", "box-x0", "box-y1", "box-z1"].map(|n| (n, 1.0 / (1.0 - 0.7)));
+    solved(&text, 1024, Some(0.1), &everywhere)
 }
 
 /// A bright room around something, with a lamp: what is emitted must be absorbed.

@@ -4,7 +4,8 @@
 //! drawn into the plane of the ceiling, a box that stands on the floor, a wall that two rooms both have. Of each
 //! overlap one face keeps its part and the others are cut. Emitters keep theirs first, bodies of glass last: where one stands
 //! on a table, the table's top is seen through it, in optical contact. Of two alike the smaller polygon keeps its part: what
-//! was put on a larger surface was meant to be seen.
+//! was put on a larger surface was meant to be seen. A translucent face on an opaque one (a paper lantern that stands on a floor) is one
+//! surface with it where they touch, [`Material::coat`].
 
 use super::{Face, Material, polygon};
 use glam::{DVec2, DVec3};
@@ -26,7 +27,41 @@ pub(super) struct Cut {
     pub objects: Vec<u32>,
     /// Object of each face that overlaps another but could not be cut: it has shading normals.
     pub kept: Vec<u32>,
+    /// Object of each translucent face that became one surface with an opaque one.
+    pub joined: Vec<u32>,
 }
+
+/// What becomes of a face.
+#[derive(Debug, Default)]
+struct Change {
+    /// Faces that keep what it has in common with them.
+    winners: Vec<u32>,
+    /// Translucent faces that lie on it.
+    coats: Vec<u32>,
+}
+
+/// Materials of surfaces in contact.
+struct Coated<'a> {
+    known: &'a [Material],
+    made: Vec<Material>,
+    /// Of a sheet's material and what it lies on.
+    numbers: HashMap<(u32, u32), u32>,
+}
+
+impl Coated<'_> {
+    fn number(&mut self, sheet: u32, base: u32) -> u32 {
+        let next = (self.known.len() + self.made.len()) as u32;
+        *self.numbers.entry((sheet, base)).or_insert_with(|| {
+            let base = base as usize;
+            let below = self.known.get(base).unwrap_or_else(|| &self.made[base - self.known.len()]);
+            self.made.push(below.coated(&self.known[sheet as usize]));
+            next
+        })
+    }
+}
+
+/// Convex parts of a face and their materials.
+type Pieces = Vec<(Vec<DVec3>, u32)>;
 
 /// Which materials keep their part before others, the lowest first.
 fn precedence(material: &Material) -> u8 {
@@ -37,8 +72,8 @@ fn precedence(material: &Material) -> u8 {
     }
 }
 
-/// Cuts overlapping faces; new points are added to `points`.
-pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &[Material]) -> Cut {
+/// Cuts overlapping faces; new points are added to `points`, and materials of surfaces in contact to `materials`.
+pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mut Vec<Material>) -> Cut {
     let mut result = Cut::default();
     let used = || faces.iter().flat_map(|f| f.vertices).map(|v| points[v as usize]);
     let (low, high) =
@@ -54,7 +89,8 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &[M
     }
     let mut groups: Vec<Vec<u32>> = planes.into_values().filter(|g| g.len() > 1).collect();
     groups.sort_unstable();
-    let mut replaced: Vec<(u32, Vec<Vec<DVec3>>)> = Vec::new();
+    let mut replaced: Vec<(u32, Pieces)> = Vec::new();
+    let mut coated = Coated { known: materials, made: Vec::new(), numbers: HashMap::new() };
     for group in groups {
         let mut flats: Vec<Flat> = group.iter().map(|&k| Flat::new(k, faces, points, center)).collect();
         flats.sort_by(|a, b| a.low.x.total_cmp(&b.low.x));
@@ -62,7 +98,13 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &[M
             let f = &faces[k as usize];
             (precedence(&materials[f.material as usize]), polygon_area[&f.polygon], k)
         };
-        let mut losses: HashMap<u32, Vec<u32>> = HashMap::new();
+        // Whether a translucent face joins an opaque one: parts of faces with shading normals cannot.
+        let joins = |a: u32, b: u32| {
+            let [a, b] = [a, b].map(|k| &faces[k as usize]);
+            let flat = a.normals.is_none() && b.normals.is_none();
+            flat && materials[a.material as usize].can_coat(&materials[b.material as usize])
+        };
+        let mut changes: HashMap<u32, Change> = HashMap::new();
         for (i, a) in flats.iter().enumerate() {
             for b in flats[i + 1..].iter().take_while(|b| b.low.x < a.high.x) {
                 if faces[a.face as usize].polygon == faces[b.face as usize].polygon
@@ -73,29 +115,60 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &[M
                 }
                 if overlap(a.face, b.face, faces, points, center) {
                     let (x, y) = (rank(a.face), rank(b.face));
-                    let a_wins = (x.0, x.1, x.2) < (y.0, y.1, y.2);
+                    let [a_joins, b_joins] = [joins(a.face, b.face), joins(b.face, a.face)];
+                    let a_wins = b_joins || !a_joins && (x.0, x.1, x.2) < (y.0, y.1, y.2);
                     let (winner, loser) = if a_wins { (a.face, b.face) } else { (b.face, a.face) };
-                    losses.entry(loser).or_default().push(winner);
+                    changes.entry(loser).or_default().winners.push(winner);
+                    if a_joins || b_joins {
+                        changes.entry(winner).or_default().coats.push(loser);
+                    }
                 }
             }
         }
-        let mut losses: Vec<_> = losses.into_iter().collect();
-        losses.sort_unstable();
-        for (loser, winners) in losses {
-            let face = &faces[loser as usize];
-            let mut pieces = vec![corners(face, points)];
-            for w in winners {
+        let mut changes: Vec<_> = changes.into_iter().collect();
+        changes.sort_unstable_by_key(|change| change.0);
+        for (k, change) in changes {
+            let face = &faces[k as usize];
+            let mut pieces: Pieces = vec![(corners(face, points), face.material)];
+            for &w in &change.winners {
                 let cutter = flatten(face, &corners(&faces[w as usize], points));
-                pieces = pieces.iter().flat_map(|p| subtract(face, p, &cutter)).collect();
+                let outside = |(p, m): &(Vec<DVec3>, u32)| {
+                    let m = *m;
+                    subtract(face, p, &cutter).0.into_iter().map(move |p| (p, m))
+                };
+                pieces = pieces.iter().flat_map(outside).collect();
             }
             if face.normals.is_some() && !pieces.is_empty() {
                 result.kept.push(face.object);
                 continue;
             }
-            result.objects.push(face.object);
-            replaced.push((loser, pieces));
+            for &c in &change.coats {
+                let coat = &faces[c as usize];
+                let cutter = flatten(face, &corners(coat, points));
+                for (piece, material) in std::mem::take(&mut pieces) {
+                    let (outside, common) = subtract(face, &piece, &cutter);
+                    pieces.extend(outside.into_iter().map(|p| (p, material)));
+                    if let Some(common) = common {
+                        let both = coated.number(coat.material, material);
+                        pieces.push((common, both));
+                    }
+                }
+            }
+            let by = |joined: bool| {
+                let joins = |w: &&u32| joins(k, **w) == joined;
+                change.winners.iter().filter(joins).count() > 0
+            };
+            if by(false) {
+                result.objects.push(face.object);
+            }
+            if by(true) {
+                result.joined.push(face.object);
+            }
+            replaced.push((k, pieces));
         }
     }
+    let made = coated.made;
+    materials.extend(made);
     if !replaced.is_empty() {
         replace(faces, points, replaced);
     }
@@ -103,7 +176,7 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &[M
 }
 
 /// Puts pieces in the places of the faces that they are left of.
-fn replace(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, mut replaced: Vec<(u32, Vec<Vec<DVec3>>)>) {
+fn replace(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, mut replaced: Vec<(u32, Pieces)>) {
     replaced.sort_unstable_by_key(|r| r.0);
     let mut rest = replaced.into_iter().peekable();
     for (k, face) in std::mem::take(faces).into_iter().enumerate() {
@@ -111,13 +184,14 @@ fn replace(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, mut replaced: Vec<(u3
             faces.push(face);
             continue;
         };
-        for piece in pieces {
+        for (piece, material) in pieces {
             let first = points.len() as u32;
             let split = polygon::split(&piece);
             points.extend(&piece);
             faces.extend(split.faces.iter().map(|c| Face {
                 vertices: c.map(|c| first + c as u32),
                 normals: None,
+                material,
                 ..face
             }));
         }
@@ -226,8 +300,9 @@ fn half(p: &[DVec2], a: DVec2, b: DVec2, inside: bool) -> Vec<DVec2> {
     out
 }
 
-/// What is left of a convex polygon in a face's plane without a convex part of that plane: convex pieces.
-fn subtract(face: &Face, piece: &[DVec3], cutter: &[DVec2]) -> Vec<Vec<DVec3>> {
+/// What is left of a convex polygon in a face's plane without a convex part of that plane, in convex pieces, and what they
+/// have in common.
+fn subtract(face: &Face, piece: &[DVec3], cutter: &[DVec2]) -> (Vec<Vec<DVec3>>, Option<Vec<DVec3>>) {
     let (x, y) = face.normal.any_orthonormal_pair();
     let y = if x.cross(y).dot(face.normal) > 0.0 { y } else { -y };
     let origin = piece[0];
@@ -237,13 +312,6 @@ fn subtract(face: &Face, piece: &[DVec3], cutter: &[DVec2]) -> Vec<Vec<DVec3>> {
     };
     let whole: Vec<DVec2> = piece.iter().map(|p| DVec2::new(p.dot(x), p.dot(y))).collect();
     let least = LEAST_OVERLAP * face.area;
-    let mut common = whole.clone();
-    for k in 0..cutter.len() {
-        common = half(&common, cutter[k], cutter[(k + 1) % cutter.len()], true);
-    }
-    if area(&common) <= least {
-        return vec![piece.to_vec()];
-    }
     let mut rest = whole;
     let mut pieces = Vec::new();
     for k in 0..cutter.len() {
@@ -254,7 +322,12 @@ fn subtract(face: &Face, piece: &[DVec3], cutter: &[DVec2]) -> Vec<Vec<DVec3>> {
         }
         rest = half(&rest, a, b, true);
     }
-    pieces
+    // A sliver in common is rounding: the polygon stays in one piece.
+    if area(&rest) <= least {
+        (vec![piece.to_vec()], None)
+    } else {
+        (pieces, Some(rest.iter().map(lift).collect()))
+    }
 }
 
 #[cfg(test)]
@@ -280,10 +353,11 @@ mod tests {
         faces.iter().filter(|f| f.object == object).map(|f| polygon::area_vector(&corners(f, points)).z).sum()
     }
 
-    /// `kinds`: `d`iffuse, `e`mitting, `g`lass.
+    /// `kinds`: `d`iffuse, `e`mitting, `g`lass, `t`ranslucent.
     fn materials(kinds: &str) -> Vec<Material> {
         let make = |kind: char| match kind {
             'e' => Material { emission: Rgb::ONE, ..Material::grey("e") },
+            't' => Material { diffuse_transmission: Rgb::splat(0.4), ..Material::grey("t") },
             'g' => Material { specular_transmission: Rgb::ONE, ..Material::new("g") },
             _ => Material::grey("d"),
         };
@@ -300,12 +374,41 @@ mod tests {
                 square(&mut points, [0.0, 1.0], [0.0, 1.0], 0.5, 0),
                 square(&mut points, [0.3, 0.7], [0.2, 0.6], 0.5, 1),
             ];
-            let cut = cut(&mut faces, &mut points, &materials(kinds));
+            let cut = cut(&mut faces, &mut points, &mut materials(kinds));
             assert_eq!(cut.objects.len(), 1);
             for (k, a) in areas.iter().enumerate() {
                 assert!((total(&faces, &points, k as u32) - a).abs() < 1e-12, "{kinds} {k}");
             }
         }
+    }
+
+    /// Two sheets, one partly on the other, on a floor with a small tile in it: what lies below stays, in as many materials as
+    /// there are contacts.
+    #[test]
+    fn translucent_faces_are_one_with_what_they_lie_on() {
+        let mut points = Vec::new();
+        let mut faces = vec![
+            square(&mut points, [0.0, 1.0], [0.0, 1.0], 0.0, 0),
+            square(&mut points, [0.2, 0.6], [0.2, 0.6], 0.0, 1),
+            square(&mut points, [0.5, 1.2], [0.5, 1.0], 0.0, 2),
+            square(&mut points, [0.2, 0.3], [0.2, 0.4], 0.0, 3),
+        ];
+        let mut materials = materials("dttd");
+        let cut = cut(&mut faces, &mut points, &mut materials);
+        // The larger sheet is cut by the smaller one, the floor by the tile.
+        assert_eq!((cut.objects, cut.joined), (vec![0, 2], vec![1, 2]));
+        for (k, a) in [0.98, 0.0, 0.1, 0.02].iter().enumerate() {
+            assert!((total(&faces, &points, k as u32) - a).abs() < 1e-12, "{k}");
+        }
+        let area = |albedo: f64| -> f64 {
+            let same = |f: &&Face| (materials[f.material as usize].diffuse.x - albedo).abs() < 1e-12;
+            faces.iter().filter(same).map(|f| polygon::area_vector(&corners(f, &points)).z).sum()
+        };
+        let once = 0.5 + 0.16 * 0.5 / (1.0 - 0.5 * 0.5);
+        let twice = 0.5 + 0.16 * once / (1.0 - 0.5 * once);
+        // Both sheets on the floor: 0.01; one of them: 0.16 - 0.01 on the floor and the tile, and 0.25 - 0.01.
+        assert!((area(twice) - 0.01).abs() < 1e-12);
+        assert!((area(once) - (0.15 + 0.24)).abs() < 1e-12);
     }
 
     #[test]
@@ -317,7 +420,7 @@ mod tests {
             square(&mut points, [-1.0, 0.0], [0.0, 1.0], 0.0, 2),
             square(&mut points, [0.0, 1.0], [0.0, 1.0], 1e-3, 3),
         ];
-        let cut = cut(&mut faces, &mut points, &materials("dddd"));
+        let cut = cut(&mut faces, &mut points, &mut materials("dddd"));
         assert_eq!(cut.objects, [0]);
         for (k, a) in [1.0 - 0.125, 0.5625, 1.0, 1.0].iter().enumerate() {
             assert!((total(&faces, &points, k as u32) - a).abs() < 1e-12, "{k}");

@@ -33,7 +33,8 @@ pub(super) struct Geometry {
     pub warnings: Vec<String>,
 }
 
-/// Splits the polygons of `files`, numbered in the scene by `numbering`, and moves them to the
+/// Splits the polygons of `files`, numbered in the scene by `numbering`, cuts those that overlap in one plane (surfaces in
+/// contact get new materials), and moves them to the
 /// centre of their bounding box.
 ///
 /// # Errors
@@ -42,7 +43,7 @@ pub(super) fn build(
     files: &[ObjFile],
     numbering: &[Numbering],
     unit: f64,
-    materials: &[Material],
+    materials: &mut Vec<Material>,
 ) -> Result<Geometry> {
     let mut builder = Builder { unit, ..Builder::default() };
     for (file, numbers) in files.iter().zip(numbering) {
@@ -249,7 +250,7 @@ impl Builder {
         (!objects.is_empty()).then(|| format!("{} {faces} {what} ({})", objects.len(), parts.join(", ")))
     }
 
-    fn finish(mut self, files: &[ObjFile], materials: &[Material]) -> Result<Geometry> {
+    fn finish(mut self, files: &[ObjFile], materials: &mut Vec<Material>) -> Result<Geometry> {
         let repeats = ("dropped that repeats an earlier face", "dropped that repeat earlier faces");
         let same = |what: &'static str| (what, what);
         let tallies = [
@@ -272,6 +273,10 @@ impl Builder {
         let cut = coplanar::cut(&mut self.faces, &mut self.points, materials);
         for (objects, what) in [
             (&cut.objects, "in the plane of others, cut where these cover them"),
+            (
+                &cut.joined,
+                "translucent and in the plane of opaque ones: one opaque surface with these where they touch",
+            ),
             (&cut.kept, "in the plane of others that cover them; not cut, for their shading normals"),
         ] {
             warnings.extend(self.named(objects, what));

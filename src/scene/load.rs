@@ -237,8 +237,8 @@ fn assemble(mut plan: Plan, mut files: Vec<ObjFile>, overrides: Vec<Override>) -
     }
     let mut numbering: Vec<_> = files.iter().map(|_| Numbering::default()).collect();
     let mut objects = number_objects(&files, &mut numbering);
-    let materials = number_materials(&files, &overrides, &mut numbering, &mut plan.warnings)?;
-    let mut geometry = faces::build(&files, &numbering, plan.unit, &materials)?;
+    let mut materials = number_materials(&files, &overrides, &mut numbering, &mut plan.warnings)?;
+    let mut geometry = faces::build(&files, &numbering, plan.unit, &mut materials)?;
 
     // A name without faces is no object.
     let mut used = vec![false; objects.len()];

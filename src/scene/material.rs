@@ -120,6 +120,30 @@ impl Material {
         self.is_glass() && !self.thin && self.ior != 1.0
     }
 
+    /// Whether a translucent sheet of this material, laid on `base`, is one opaque surface with it.
+    pub fn can_coat(&self, base: &Material) -> bool {
+        let opaque = |m: &Material| !m.is_glass() && !m.is_emitter();
+        self.is_translucent() && opaque(self) && opaque(base) && !base.is_translucent()
+    }
+
+    /// This opaque material under a translucent sheet, in contact: light that the sheet lets through goes back and forth
+    /// between them, so that of what arrives `rho + tau^2 rho_b / (1 - rho rho_b)` leaves again, where rho and tau are the
+    /// reflectance and transmittance of the sheet and rho_b is the reflectance of what it lies on (Stokes 1862, of a pile of
+    /// plates). What comes through the sheet is diffuse, and so may be what lies below.
+    pub fn coated(&self, sheet: &Material) -> Material {
+        let (below, above) = (self.diffuse + self.specular, sheet.diffuse + sheet.specular);
+        let tau = sheet.diffuse_transmission;
+        // Of perfect white between perfect white nothing comes through.
+        let between = (Rgb::ONE - above * below).max(Rgb::splat(f64::MIN_POSITIVE));
+        Material {
+            name: format!("{} on {}", sheet.name, self.name),
+            diffuse: sheet.diffuse + tau * tau * below / between,
+            diffuse_transmission: Rgb::ZERO,
+            two_sided: self.two_sided,
+            ..sheet.clone()
+        }
+    }
+
     /// Emits light.
     pub fn is_emitter(&self) -> bool {
         self.emission != Rgb::ZERO
@@ -166,6 +190,31 @@ mod tests {
         (m.specular, m.specular_transmission) = (Rgb::splat(0.5), Rgb::splat(0.5));
         assert!(!m.leave_reflection_to_fresnel());
         assert_eq!(m.specular, Rgb::splat(0.5));
+    }
+
+    #[test]
+    fn sheets_on_opaque_surfaces_pass_light_back_and_forth() {
+        let mut sheet = Material { diffuse_transmission: Rgb::new(0.5, 0.3, 0.7), ..Material::new("sheet") };
+        sheet.diffuse = Rgb::new(0.2, 0.6, 0.3);
+        let base = Material { diffuse: Rgb::new(0.8, 0.5, 1.0), ..Material::new("base") };
+        assert!(sheet.can_coat(&base) && !base.can_coat(&sheet) && !sheet.can_coat(&sheet));
+        let both = base.coated(&sheet);
+        for c in 0..3 {
+            // What goes down, and comes back up, pass by pass.
+            let (mut up, mut down) = (sheet.diffuse[c], sheet.diffuse_transmission[c]);
+            for _ in 0..200 {
+                let back = down * base.diffuse[c];
+                up += back * sheet.diffuse_transmission[c];
+                down = back * sheet.diffuse[c];
+            }
+            assert!((both.diffuse[c] - up).abs() < 1e-14);
+        }
+        // Nothing is lost in the last channel.
+        assert!((both.diffuse[2] - 1.0).abs() < 1e-14 && !both.is_translucent());
+        // Nor made where all of it is white.
+        sheet.diffuse = Rgb::ONE;
+        sheet.diffuse_transmission = Rgb::ZERO;
+        assert_eq!(Material { diffuse: Rgb::ONE, ..base }.coated(&sheet).diffuse, Rgb::ONE);
     }
 
     #[test]
