@@ -38,6 +38,34 @@ impl PlaneSet {
     }
 }
 
+/// What a body shows to a point, or to all points of a cell.
+#[derive(Default)]
+pub struct View {
+    /// Ends of the edges of its outline.
+    outline: Vec<[DVec3; 2]>,
+    /// Sides that bound the shadow.
+    sides: Vec<(DVec3, DVec3)>,
+    /// The point lies within the body.
+    pub within: bool,
+}
+
+impl View {
+    /// The shadow as half-spaces: each a plane's point and outward normal (of any length).
+    #[inline]
+    pub fn shadow(&self, viewer: DVec3, shadow: &mut Vec<(DVec3, DVec3)>) {
+        shadow.clear();
+        for [p, q] in &self.outline {
+            let (p, q) = (*p - viewer, *q - viewer);
+            let normal = p.cross(q);
+            let least = COLLINEAR * COLLINEAR * p.length_squared() * q.length_squared();
+            if normal.length_squared() > least {
+                shadow.push((viewer, normal));
+            }
+        }
+        shadow.extend_from_slice(&self.sides);
+    }
+}
+
 /// An edge between two planes of a body; seen from before the first plane alone, the body lies to its left.
 #[derive(Debug)]
 struct Edge {
@@ -259,45 +287,65 @@ impl Body {
         all
     }
 
-    /// Calls `visit` with the ends, relative to a point, of each edge of the outline that the body shows it; the body
-    /// lies on the side away from their cross product.
+    /// Calls `visit` with the ends of each edge of the outline that the body shows to points before these planes; seen from
+    /// there, the body lies to the left.
     #[inline]
-    pub fn outline(&self, viewer: DVec3, before: &mut PlaneSet, mut visit: impl FnMut(DVec3, DVec3)) {
-        self.before(viewer, before);
+    fn turned(&self, before: &PlaneSet, mut visit: impl FnMut(DVec3, DVec3)) {
         for edge in &self.edges {
             let [first, second] = edge.planes.map(|k| before.has(k));
             if first != second {
-                let (p, q) = (edge.ends[0] - viewer, edge.ends[1] - viewer);
+                let [p, q] = edge.ends;
                 if first { visit(p, q) } else { visit(q, p) }
             }
         }
     }
 
-    /// The shadow that the body casts from a point, as half-spaces: each a plane's point and outward normal (of any
-    /// length); of the body's own planes those alone that `reached` names. False where the point lies within the body.
-    pub fn shadow(
+    /// Calls `visit` with the ends, relative to a point, of each edge of the outline that the body shows it; the body
+    /// lies on the side away from their cross product.
+    pub fn outline(&self, viewer: DVec3, before: &mut PlaneSet, mut visit: impl FnMut(DVec3, DVec3)) {
+        self.before(viewer, before);
+        self.turned(before, |p, q| visit(p - viewer, q - viewer));
+    }
+
+    /// What makes the shadow that the body casts from a point; of the body's own planes those alone that `reached` names.
+    pub fn view(&self, viewer: DVec3, reached: &PlaneSet, before: &mut PlaneSet, view: &mut View) {
+        self.before(viewer, before);
+        self.set_view(reached, before, view);
+    }
+
+    /// The same for all points of a polygon at once; false where not all of them see the same sides of the body.
+    pub fn common_view(
         &self,
-        viewer: DVec3,
+        viewers: &Polygon,
         reached: &PlaneSet,
-        set: &mut PlaneSet,
-        shadow: &mut Vec<(DVec3, DVec3)>,
+        before: &mut [PlaneSet; 2],
+        view: &mut View,
     ) -> bool {
-        shadow.clear();
-        self.outline(viewer, set, |p, q| {
-            let normal = p.cross(q);
-            let least = COLLINEAR * COLLINEAR * p.length_squared() * q.length_squared();
-            if normal.length_squared() > least {
-                shadow.push((viewer, normal));
+        let [first, other] = before;
+        let [corner, others @ ..] = viewers.corners() else { return false };
+        self.before(*corner, first);
+        for corner in others {
+            self.before(*corner, other);
+            if other.0 != first.0 {
+                return false;
             }
-        });
-        for (k, (before, reached)) in set.0.iter().zip(&reached.0).enumerate() {
+        }
+        self.set_view(reached, first, view);
+        true
+    }
+
+    fn set_view(&self, reached: &PlaneSet, before: &PlaneSet, view: &mut View) {
+        view.outline.clear();
+        self.turned(before, |p, q| view.outline.push([p, q]));
+        view.sides.clear();
+        for (k, (before, reached)) in before.0.iter().zip(&reached.0).enumerate() {
             let mut own = before & reached;
             while own != 0 {
-                shadow.push(self.planes[64 * k + own.trailing_zeros() as usize]);
+                view.sides.push(self.planes[64 * k + own.trailing_zeros() as usize]);
                 own &= own - 1;
             }
         }
-        set.0.iter().any(|word| *word != 0)
+        view.within = before.0.iter().all(|word| *word == 0);
     }
 
     /// The parts of an element's polygon that the body, which may stand on it, leaves open.

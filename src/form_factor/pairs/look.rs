@@ -1,7 +1,7 @@
 //! What a point sees of a polygon past convex bodies.
 
-use super::body::{Body, PlaneSet};
-use super::ring::{Cover, Planes, Ring, Rings, clip, cover, moment};
+use super::body::{Body, PlaneSet, View};
+use super::ring::{Cover, Planes, Ring, Rings, behind, clip, cover, moment};
 use crate::form_factor::analytic::{Polygon, lambert};
 use glam::DVec3;
 use std::f64::consts::PI;
@@ -43,8 +43,11 @@ enum Size {
 pub struct Looker {
     /// Bodies that may hide something from where it is.
     active: Vec<usize>,
+    /// What these show to the whole cell, or to the point alone where that differs within the cell.
+    views: Vec<View>,
+    shared: Vec<bool>,
+    before: [PlaneSet; 2],
     shadow: Planes,
-    before: PlaneSet,
     /// Parts that bodies hide, alone or together, to be added up with these signs.
     hidden: Rings,
     signs: Vec<f64>,
@@ -87,6 +90,26 @@ impl Looker {
     pub fn enter(&mut self, cell: &Polygon, target: &Target) {
         self.active.clear();
         self.active.extend((0..target.bodies.len()).filter(|k| !target.sees_past(cell, *k)));
+        self.shared.clear();
+        if self.views.len() < self.active.len() {
+            self.views.resize_with(self.active.len(), View::default);
+        }
+        for (&k, view) in self.active.iter().zip(&mut self.views) {
+            let (body, reached) = (target.bodies[k], &target.reached[k]);
+            self.shared.push(body.common_view(cell, reached, &mut self.before, view));
+        }
+    }
+
+    /// Finds the shadow of an active body; false where the point lies within the body.
+    #[inline]
+    fn find_shadow(&mut self, viewer: DVec3, active: usize, target: &Target) -> bool {
+        let view = &mut self.views[active];
+        if !self.shared[active] {
+            let k = self.active[active];
+            target.bodies[k].view(viewer, &target.reached[k], &mut self.before[0], view);
+        }
+        view.shadow(viewer, &mut self.shadow);
+        !view.within
     }
 
     /// Factor from a differential area to what it sees of the polygon, and to the whole polygon.
@@ -104,10 +127,9 @@ impl Looker {
         }
         self.hidden.clear();
         self.signs.clear();
-        for &k in &self.active {
-            let (body, reached) = (target.bodies[k], &target.reached[k]);
-            if !body.shadow(viewer, reached, &mut self.before, &mut self.shadow) {
-                if body.is_solid() {
+        for active in 0..self.active.len() {
+            if !self.find_shadow(viewer, active, target) {
+                if target.bodies[self.active[active]].is_solid() {
                     return (0.0, whole);
                 }
                 continue;
@@ -170,10 +192,9 @@ impl Looker {
     fn look_past(&mut self, viewer: DVec3, normal: DVec3, target: &Target, whole: f64) -> (f64, f64) {
         self.pieces.clear();
         self.pieces.push(target.polygon.corners());
-        for &k in &self.active {
-            let (body, reached) = (target.bodies[k], &target.reached[k]);
-            if !body.shadow(viewer, reached, &mut self.before, &mut self.shadow) {
-                if body.is_solid() {
+        for active in 0..self.active.len() {
+            if !self.find_shadow(viewer, active, target) {
+                if target.bodies[self.active[active]].is_solid() {
                     return (0.0, whole);
                 }
                 continue;
@@ -195,10 +216,10 @@ impl Looker {
                     if crossed >> k.min(63) & 1 == 0 {
                         continue;
                     }
-                    self.clipped[from].behind(point, -outward, &mut self.out);
+                    behind(self.clipped[from].corners(), point, -outward, &mut self.out);
                     let [a, b] = &mut self.clipped;
                     let (source, within) = if from == 0 { (a, b) } else { (b, a) };
-                    source.behind(point, outward, within);
+                    behind(source.corners(), point, outward, within);
                     if within.corners().len() < 3 {
                         // Nothing is in the shadow: the whole piece stays as it is.
                         self.rest.truncate(first);

@@ -41,19 +41,44 @@ pub fn cover(polygon: &[DVec3], shadow: &[(DVec3, DVec3)]) -> Cover {
 /// The part of a polygon within a shadow, in one of two buffers: which one. `crossed` names the planes that may cut it.
 pub fn clip(corners: &[DVec3], shadow: &[(DVec3, DVec3)], crossed: u64, buffers: &mut [Ring; 2]) -> usize {
     let [a, b] = buffers;
-    a.set(corners);
+    let mut planes =
+        shadow.iter().enumerate().filter(|(k, _)| crossed >> k.min(&63) & 1 == 1).map(|(_, p)| p);
+    match planes.next() {
+        Some(&(point, outward)) => behind(corners, point, outward, a),
+        None => a.set(corners),
+    }
     let mut at = 0;
-    for (k, &(point, outward)) in shadow.iter().enumerate() {
-        if crossed >> k.min(63) & 1 == 1 {
-            let (from, to) = if at == 0 { (&*a, &mut *b) } else { (&*b, &mut *a) };
-            from.behind(point, outward, to);
-            at = 1 - at;
-            if to.corners().len() < 3 {
-                break;
-            }
+    for &(point, outward) in planes {
+        let (from, to) = if at == 0 { (&*a, &mut *b) } else { (&*b, &mut *a) };
+        if from.corners().len() < 3 {
+            break;
         }
+        behind(from.corners(), point, outward, to);
+        at = 1 - at;
     }
     at
+}
+
+/// The part of a convex polygon behind a plane.
+#[inline]
+pub fn behind(corners: &[DVec3], point: DVec3, normal: DVec3, part: &mut Ring) {
+    let part = &mut part.0;
+    part.clear();
+    let Some(&(mut from)) = corners.last() else { return };
+    let mut d = (from - point).dot(normal);
+    for &to in corners {
+        let e = (to - point).dot(normal);
+        // From the end that lies behind, so that both sides of a cut get the same corner.
+        if d > 0.0 && e < 0.0 {
+            part.push(to + e / (e - d) * (from - to));
+        } else if d < 0.0 && e > 0.0 {
+            part.push(from + d / (d - e) * (to - from));
+        }
+        if e <= 0.0 {
+            part.push(to);
+        }
+        (from, d) = (to, e);
+    }
 }
 
 /// Many convex polygons, corner after corner.
@@ -102,27 +127,6 @@ impl Ring {
     pub fn set(&mut self, corners: &[DVec3]) {
         self.0.clear();
         self.0.extend_from_slice(corners);
-    }
-
-    /// The part behind a plane.
-    pub fn behind(&self, point: DVec3, normal: DVec3, part: &mut Ring) {
-        let part = &mut part.0;
-        part.clear();
-        let Some(&(mut from)) = self.0.last() else { return };
-        let mut d = (from - point).dot(normal);
-        for &to in &self.0 {
-            let e = (to - point).dot(normal);
-            // From the end that lies behind, so that both sides of a cut get the same corner.
-            if d > 0.0 && e < 0.0 {
-                part.push(to + e / (e - d) * (from - to));
-            } else if d < 0.0 && e > 0.0 {
-                part.push(from + d / (d - e) * (to - from));
-            }
-            if e <= 0.0 {
-                part.push(to);
-            }
-            (from, d) = (to, e);
-        }
     }
 }
 
