@@ -1,13 +1,14 @@
 //! Pass 1 on elements that are fine only where the light asks for it.
 //!
 //! A coarse mesh is solved, the elements whose interpolated light is most wrong are divided, and the new mesh is solved in turn,
-//! until what is left to divide matters little beside the rest or nothing may be divided further.
+//! until what is left to divide matters little beside the rest or nothing may be divided further. Where the first mesh is finer
+//! than the light asks for, its cells are joined once.
 
 use crate::Result;
 use crate::emitters::Emitters;
 use crate::mesh::{Division, Mesh, default_element_size};
 use crate::pipeline::{self, Observer, Pass1, Pass1Result, Stage};
-use crate::radiosity::{Reads, element_errors, worst_cells};
+use crate::radiosity::{Changes, Reads, element_errors};
 use crate::scene::Camera;
 use crate::visibility::Visibility;
 use serde::Serialize;
@@ -62,11 +63,18 @@ pub fn solve(
             && pipeline::building(stages, || -> Result<bool> {
                 let s = &result.solution;
                 let errors = element_errors(scene, &division, s, &result.open, reads)?;
-                let (chosen, excess) = worst_cells(&s.mesh, &division, &errors, REST);
-                if chosen.is_empty() || (3 * chosen.len() <= elements / LITTLE && excess < NEARLY) {
+                let mut changes = Changes::new(&s.mesh, &division, &errors, REST);
+                if adapted.elements.len() > 1 {
+                    changes.join.clear();
+                }
+                let Changes { divide, join, excess } = changes;
+                let little = 3 * divide.len() <= elements / LITTLE && excess < NEARLY;
+                if (divide.is_empty() || little) && 3 * join.len() <= elements / LITTLE {
                     return Ok(false);
                 }
-                division.split(|face, cell| chosen.binary_search(&(face, cell)).is_ok());
+                let among = |cells: &[(u32, u32)], face, cell| cells.binary_search(&(face, cell)).is_ok();
+                division
+                    .change(|face, cell| among(&divide, face, cell), |face, cell| among(&join, face, cell));
                 division.balance(scene, &reached)?;
                 Ok(true)
             })?;

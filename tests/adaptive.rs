@@ -395,3 +395,33 @@ fn fewer_elements_show_the_same_light() {
     assert!(fourfold > 0.0, "{uniform:?}");
     assert!(adaptive.1 < fourfold, "{adaptive:?} {uniform:?}");
 }
+
+/// A lamp close under the middle of a ceiling: the four quarters of the ceiling see it all alike, and what lies behind it is dark.
+/// Mean radiosities of adaptive elements and of uniform ones agree within 1 % (they were 3 % apart when the first mesh was one of
+/// quarters; their standard errors are below 0.1 %).
+#[test]
+fn what_the_quarters_of_a_face_see_alike_is_seen() {
+    let mut files = Files::default();
+    files.diffuse("white", &[0.8], &[0.0]).diffuse("lamp", &[0.0], &[40.0]);
+    for (name, points) in box_faces([0.0; 3], [1.0; 3], true) {
+        files.polygon(name, "white", &points);
+    }
+    let lamp = [[0.35, 0.35, 0.98], [0.35, 0.65, 0.98], [0.65, 0.65, 0.98], [0.65, 0.35, 0.98]];
+    let scene = files.polygon("lamp", "lamp", &lamp).load();
+    let device = device();
+    let visibility = Visibility::new(&device, &scene).unwrap();
+    let emitters = Emitters::new(&visibility);
+    let settings = Pass1 { rays: 1024, element_size: Some(0.045), seed: 1 };
+    let stages = &mut Vec::new();
+    let what = (&settings, Reads::Indirect);
+    let adapted = adaptive::solve(None, &visibility, &emitters, &[], what, &|_| {}, stages).unwrap().0;
+    let uniform = twopass::pipeline::solve(&visibility, &emitters, &[], &settings, &|_| {}, stages).unwrap();
+    let mean = |s: &Solution| -> f64 {
+        let power: f64 = (0..s.mesh.len()).map(|e| s.mesh.area(e as u32) * s.reflected_radiosity(e).x).sum();
+        power / scene.faces.iter().map(|f| f.area).sum::<f64>()
+    };
+    let (a, u) = (mean(&adapted.solution), mean(&uniform.solution));
+    let counts = (adapted.solution.mesh.len(), uniform.solution.mesh.len());
+    println!("{counts:?} elements: {a:.5} and {u:.5} W m^-2");
+    assert!((a / u - 1.0).abs() < 0.01 && 4 * counts.0 < counts.1);
+}

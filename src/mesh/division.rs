@@ -9,6 +9,10 @@ use crate::{Error, Result};
 
 /// Divisions between the cells of level 0 and the finest, where the face is large enough.
 const LEVELS: u32 = 7;
+/// Level of the first mesh, as far as faces have it. What lies before the middle of a face, a lamp under a ceiling, its four quarters see
+/// all alike, and nothing would tell that they should be divided: level 1 loses 3 % of the light of a room of albedo 0.8 with
+/// its lamp 2 cm under the ceiling, level 2 0.02 %; in the corridor of three rooms errors are 10 % and 6.5 %.
+const FIRST: u8 = 2;
 
 /// The levels of the cells of every face.
 ///
@@ -32,7 +36,7 @@ struct Divided {
 }
 
 impl Division {
-    /// The coarsest mesh whose errors can be told: level 1 wherever cells may be divided. The edges of the finest cells will be
+    /// The coarsest mesh whose errors can be told: level 2 wherever cells may be divided so often. The edges of the finest cells will be
     /// at most `finest` \[m\].
     ///
     /// # Errors
@@ -53,14 +57,14 @@ impl Division {
             (*base, deepest, used)
         };
         let faces: Vec<_> = bases.iter().zip(&wanted).enumerate().map(face).collect();
-        let cells: u64 = faces.iter().map(|(base, ..)| 4 * base.len()).sum();
+        let cells: u64 = faces.iter().map(|(base, deepest, _)| base.len() << (2 * FIRST.min(*deepest))).sum();
         if cells > u64::from(MOST_ELEMENTS) {
             return Err(Error::Usage(format!(
                 "element size {finest} m makes more than {MOST_ELEMENTS} elements: choose a larger --element-size"
             )));
         }
         let faces = faces.into_iter().map(|(base, deepest, used)| {
-            let level = u8::from(used && deepest > 0);
+            let level = if used { FIRST.min(deepest) } else { 0 };
             Divided { base, deepest, used, levels: vec![level; (base.len() << (2 * level)) as usize] }
         });
         Ok(Division { finest, faces: faces.collect() })
@@ -138,20 +142,50 @@ impl Division {
 
     /// Divides the cells of which `wanted` says so and that may be divided; how many these are.
     pub fn split(&mut self, wanted: impl Fn(u32, u32) -> bool) -> usize {
+        self.change(wanted, |_, _| false)
+    }
+
+    /// The same, and joins the quarters of each cell whose first quarter `joined` names: one of [`Division::quarters`].
+    pub fn change(&mut self, wanted: impl Fn(u32, u32) -> bool, joined: impl Fn(u32, u32) -> bool) -> usize {
         let mut count = 0;
         for (k, face) in self.faces.iter_mut().enumerate() {
             let mut levels = Vec::with_capacity(face.levels.len());
-            for (cell, level) in face.levels.iter().enumerate() {
-                if *level < face.deepest && wanted(k as u32, cell as u32) {
+            let mut cell = 0;
+            while cell < face.levels.len() {
+                let level = face.levels[cell];
+                if joined(k as u32, cell as u32) {
+                    levels.push(level - 1);
+                    cell += 3;
+                } else if level < face.deepest && wanted(k as u32, cell as u32) {
                     levels.extend([level + 1; 4]);
                     count += 1;
                 } else {
-                    levels.push(*level);
+                    levels.push(level);
                 }
+                cell += 1;
             }
             face.levels = levels;
         }
         count
+    }
+
+    /// First of the four quarters, by (face, cell) in order, of each cell of level 1 that is divided once.
+    pub fn quarters(&self) -> Vec<(u32, u32)> {
+        let mut found = Vec::new();
+        for (k, face) in self.faces.iter().enumerate() {
+            let (mut cell, mut covered) = (0, 0u64);
+            while cell < face.levels.len() {
+                let level = face.levels[cell];
+                let whole = 1 << (2 * (MOST_LEVELS - 1));
+                let four = face.levels.get(cell..cell + 4).is_some_and(|l| l.iter().all(|l| *l == 2));
+                if four && covered % whole == 0 {
+                    found.push((k as u32, cell as u32));
+                }
+                covered += 1 << (2 * (MOST_LEVELS - level));
+                cell += 1;
+            }
+        }
+        found
     }
 
     /// Divides cells until no edge has neighbours of less than half its length on the same surface, as far as cells may be

@@ -21,7 +21,7 @@ pub use directional::{Directional, solve_directional};
 pub use file::Kept;
 pub use ledger::Ledger;
 pub use reconstruct::Field;
-pub use refine::{Reads, element_errors, worst_cells};
+pub use refine::{Changes, Reads, element_errors};
 pub use solve::Convergence;
 pub use trust::{UNCERTAIN, warnings};
 pub use uncertainty::ObjectRadiosity;

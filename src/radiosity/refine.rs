@@ -9,9 +9,13 @@ use super::{Field, Solution};
 use crate::color::{self, Rgb};
 use crate::mesh::{Division, Mesh, NONE, Nodes};
 use crate::scene::Scene;
+use std::collections::HashMap;
 
 /// What division leaves of an edge's squared error.
 const HALF: f64 = 0.5;
+
+/// Share of the error that may be left of which joining cells may add.
+const NEEDLESS: f64 = 0.05;
 
 /// What pass 2 reads of pass 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -97,37 +101,63 @@ fn at_centroid(field: &Field, (of, nodes): (&Mesh, &Nodes), mesh: &Mesh, element
     field.at(of, nodes, (face, front), uv.x as f32, uv.y as f32).unwrap_or_default()
 }
 
-/// The cells to divide, by (face, cell) in order: the fewest that leave to others that may be divided no more than `rest` times
-/// the error that the finest mesh would have, were it all along edges; and how many times that there is before. The sides of a face
-/// share its cells.
-pub fn worst_cells(mesh: &Mesh, division: &Division, errors: &[f64], rest: f64) -> (Vec<(u32, u32)>, f64) {
-    let mut cells: Vec<(f64, (u32, u32))> = Vec::new();
-    let (mut left, mut final_error) = (0.0, 0.0);
-    for e in 0..mesh.len() as u32 {
-        let (face, front, cell) = mesh.place(e);
-        if !front && mesh.first(face, true) != NONE {
-            continue;
+/// What to do with the cells of a division, by (face, cell) in order.
+pub struct Changes {
+    /// Cells to divide: the fewest that leave to others that may be divided no more than a number of times the error that the finest
+    /// mesh would have, were it all along edges.
+    pub divide: Vec<(u32, u32)>,
+    /// First quarters of cells that need not have been divided.
+    pub join: Vec<(u32, u32)>,
+    /// How many times what may be left there is now.
+    pub excess: f64,
+}
+
+impl Changes {
+    /// Changes by the elements' errors; `rest` is the number of times. The sides of a face share its cells.
+    pub fn new(mesh: &Mesh, division: &Division, errors: &[f64], rest: f64) -> Changes {
+        let mut own: HashMap<(u32, u32), f64> = HashMap::new();
+        let mut cells: Vec<(f64, (u32, u32))> = Vec::new();
+        let (mut left, mut final_error) = (0.0, 0.0);
+        for e in 0..mesh.len() as u32 {
+            let (face, front, cell) = mesh.place(e);
+            if !front && mesh.first(face, true) != NONE {
+                continue;
+            }
+            let behind = if front { mesh.opposite(e) } else { NONE };
+            let error = errors[e as usize] + if behind == NONE { 0.0 } else { errors[behind as usize] };
+            own.insert((face, cell), error);
+            let levels = division.levels_left(face, cell);
+            final_error += error * HALF.powi(levels.into());
+            if error > 0.0 && levels > 0 {
+                cells.push((error, (face, cell)));
+                left += error;
+            }
         }
-        let behind = if front { mesh.opposite(e) } else { NONE };
-        let error = errors[e as usize] + if behind == NONE { 0.0 } else { errors[behind as usize] };
-        let levels = division.levels_left(face, cell);
-        final_error += error * HALF.powi(levels.into());
-        if error > 0.0 && levels > 0 {
-            cells.push((error, (face, cell)));
-            left += error;
+        let allowed = rest * final_error;
+        let excess = if left > 0.0 { left / allowed } else { 0.0 };
+        cells.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        let mut divide = Vec::new();
+        for (error, at) in cells {
+            if left <= allowed {
+                break;
+            }
+            left -= error;
+            divide.push(at);
         }
+        divide.sort_unstable();
+        let all =
+            |(face, cell): (u32, u32)| -> f64 { (cell..cell + 4).filter_map(|c| own.get(&(face, c))).sum() };
+        let mut quarters: Vec<_> = division.quarters().into_iter().map(|at| (all(at), at)).collect();
+        quarters.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let (mut join, mut lost) = (Vec::new(), 0.0);
+        for (error, at) in quarters {
+            lost += error;
+            if lost > NEEDLESS * allowed {
+                break;
+            }
+            join.push(at);
+        }
+        join.sort_unstable();
+        Changes { divide, join, excess }
     }
-    let allowed = rest * final_error;
-    let excess = if left > 0.0 { left / allowed } else { 0.0 };
-    cells.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-    let mut chosen = Vec::new();
-    for (error, at) in cells {
-        if left <= allowed {
-            break;
-        }
-        left -= error;
-        chosen.push(at);
-    }
-    chosen.sort_unstable();
-    (chosen, excess)
 }
