@@ -7,6 +7,7 @@ pub mod export;
 mod found;
 mod gathered;
 mod hemicube;
+mod immersed;
 mod matrix;
 mod mirror;
 pub mod pairs;

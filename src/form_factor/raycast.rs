@@ -6,6 +6,8 @@
 //! ray of neighbouring elements (see [`super::source`]).
 
 use super::gathered::{EmitterIrradiance, EmitterRows, EmitterWork, add_batch};
+
+use super::immersed::{Immersed, settle};
 use super::matrix::{ExchangeMatrix, RowSummary};
 use super::rows::{Block, Builder};
 use super::source::{Lanes, Source, groups, lane, share_packets};
@@ -89,12 +91,15 @@ fn collect(caster: Caster, rows: Option<&[bool]>) -> (ExchangeMatrix, EmitterRow
         rays: 0,
     };
     let mut light = EmitterRows::dark(0, matrix.batches);
+    let mut immersed = Vec::new();
     for part in cast {
         matrix.blocks.push(part.entries);
         matrix.summary.extend_from_slice(&part.summary);
         matrix.rays += part.rays;
         light.append(&part.light);
+        immersed.extend(part.immersed);
     }
+    settle(&mut matrix.summary, &immersed);
     (matrix, light)
 }
 
@@ -144,6 +149,7 @@ struct Cast {
     entries: Block,
     summary: Vec<RowSummary>,
     light: EmitterRows,
+    immersed: Vec<Immersed>,
     rays: u64,
 }
 
@@ -151,6 +157,8 @@ struct Cast {
 #[derive(Clone, Default)]
 struct Fate {
     summary: RowSummary,
+    /// Met the back of glass first.
+    inside: u32,
     covered: u32,
     escaped: u32,
     absorbed: u32,
@@ -217,14 +225,16 @@ impl<'a, 's> Caster<'a, 's> {
 
     /// Casts every row and keeps no factors: summaries, irradiance from emitters, rays cast.
     pub(super) fn survey(&self) -> (Vec<RowSummary>, EmitterRows, u64) {
-        let parts = self.run(None, |_, cast| (cast.summary, cast.light, cast.rays));
-        let mut summary = Vec::with_capacity(self.mesh.len());
+        let parts = self.run(None, |_, cast| (cast.summary, cast.light, cast.rays, cast.immersed));
+        let (mut summary, mut immersed) = (Vec::with_capacity(self.mesh.len()), Vec::new());
         let (mut light, mut rays) = (EmitterRows::dark(0, self.batches()), 0);
         for part in parts {
             summary.extend(part.0);
             light.append(&part.1);
             rays += part.2;
+            immersed.extend(part.3);
         }
+        settle(&mut summary, &immersed);
         (summary, light, rays)
     }
 
@@ -279,6 +289,7 @@ impl<'a, 's> Caster<'a, 's> {
             entries: scratch.builder.finish(),
             summary: Vec::with_capacity(n),
             light: EmitterRows::dark(light, batches),
+            immersed: Vec::new(),
             rays: 0,
         };
         scratch.rays = 0;
@@ -295,6 +306,7 @@ impl<'a, 's> Caster<'a, 's> {
                     continue;
                 }
                 cast.summary.push(self.row(scratch, found, chosen.len()));
+                cast.immersed.extend(self.immersed(scratch, element, (found, chosen.len())));
                 if light > 0 {
                     let at = (element - elements.start) as usize;
                     for b in 0..batches {
@@ -441,9 +453,23 @@ impl<'a, 's> Caster<'a, 's> {
         row.escaped *= scale;
         row.absorbed *= scale;
         row.dropped *= scale;
-        row.index2 = 1.0 + (row.index2 - 1.0) * scale;
+        row.index2 = 1.0;
         row.exposed = open as f64 / total as f64;
         row
+    }
+
+    /// The rays of the `k`-th of `m` elements of a group, if some of them began inside of glass.
+    fn immersed(&self, scratch: &Scratch, element: u32, (k, m): (usize, usize)) -> Option<Immersed> {
+        let (n, fate) = (self.table.len(), &scratch.fates[k]);
+        if fate.inside == 0 {
+            return None;
+        }
+        let rows = (0..self.batches as usize).map(|batch| (batch * m + k) * n);
+        let landed = rows.flat_map(|first| &scratch.landed[first..first + n]);
+        let mut landed: Vec<u32> = landed.copied().filter(|c| *c != NONE).collect();
+        landed.sort_unstable();
+        let open = self.rays_per_row() - fate.covered;
+        Some(Immersed { element, inside: fate.inside, index2: fate.summary.index2 - 1.0, open, landed })
     }
 
     /// A hemisphere ray that met an emitter in a straight line.
@@ -499,6 +525,7 @@ impl<'a, 's> Caster<'a, 's> {
         let met = scene.material(&scene.faces[hit.face as usize]);
         if met.bends() && !hit.front {
             scratch.fates[at.0].summary.index2 += met.ior * met.ior - 1.0;
+            scratch.fates[at.0].inside += 1;
         }
         let mut absorbed = Rgb::ZERO;
         let place = (at.0 as u32, at.1);

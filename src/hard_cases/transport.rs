@@ -75,6 +75,7 @@ pub(super) const CASES: &[Case] = &[
         open_box,
     ),
     case("translucent ball through a wall", "light from nothing", "balance of power", translucent),
+    case("glass in a corner of the room", "walls that see each other in glass", "balance of power", cornered),
     case("translucent box on the floor", "light lost in the contact", "furnace", lantern),
     seconds("balls of mirror and of glass", "caustics twice or never", "path tracer", balls),
 ];
@@ -334,6 +335,12 @@ fn lantern() -> Result<Outcome> {
         .material("sheet", "diffuse = 0.4\ndiffuse_transmission = 0.6");
     let everywhere = ["x0", "z0", "z1", "box-x0", "box-y1", "box-z1"].map(|n| (n, 1.0 / (1.0 - 0.7)));
     solved(&text, 1024, Some(0.1), &everywhere)
+}
+
+/// A block of glass that lies on the floor and on two walls: parts of these see each other inside of it.
+fn cornered() -> Result<Outcome> {
+    let text = SceneText::new().cuboid("block-", |_| "glass".into(), [0.0; 3], [0.3, 0.35, 0.4], false);
+    balanced(text.material("glass", GLASS))
 }
 
 /// A bright room around something, with a lamp: what is emitted must be absorbed.
