@@ -2,6 +2,11 @@
 
 use super::*;
 
+/// Hemisphere rays in 16 randomisations: what pairs are compared with.
+fn hemisphere(rays: u32) -> Casting<'static> {
+    Casting { rays, batches: 16, seed: 3, specular: false, reached: None, emitters: None, progress: &|_| () }
+}
+
 /// More faces in the shaft than shadows are cut from: 60 strips hide a third of the way, rays count. The strips
 /// of a blind are as good as one blocker each, so the pair estimate must agree with hemisphere rays.
 #[test]
@@ -187,16 +192,7 @@ fn many_bodies_by_cells() {
     let pairs = found.pairs().expect("an error was asked for");
     eprintln!("{} elements, {:?}", mesh.len(), pairs.counts);
     assert_eq!((pairs.counts.shadows, pairs.counts.rays, pairs.counts.missed), (0, 0, 0));
-    let casting = Casting {
-        rays: 131_072,
-        batches: 16,
-        seed: 3,
-        specular: false,
-        reached: None,
-        emitters: None,
-        progress: &|_| (),
-    };
-    let rows = cast(&visibility, &mesh, &casting).0;
+    let rows = cast(&visibility, &mesh, &hemisphere(131_072)).0;
     let object = |e: usize| scene.faces[mesh.place(e as u32).0 as usize].object;
     let (mut worst, mut largest): (f64, f64) = (0.0, 0.0);
     for i in (0..mesh.len()).filter(|i| object(*i) < 2) {
@@ -246,18 +242,9 @@ fn a_body_of_many_sides_is_one() {
     assert_eq!((counts.cells, counts.shadows, counts.rays, counts.missed), (1, 0, 0, 0), "{counts:?}");
     let table = found.table(&scene, &mesh, 0.0);
     let (factor, stated) = (table.form_factors[0][1], table.standard_errors[0][1]);
-    let casting = Casting {
-        rays: 1 << 20,
-        batches: 16,
-        seed: 3,
-        specular: false,
-        reached: None,
-        emitters: None,
-        progress: &|_| (),
-    };
     let object = |e: usize| scene.faces[mesh.place(e as u32).0 as usize].object;
     let lower: Vec<bool> = (0..mesh.len()).map(|e| object(e) == 0).collect();
-    let rows = cast_rows(&visibility, &mesh, &casting, Some(&lower)).0;
+    let rows = cast_rows(&visibility, &mesh, &hemisphere(1 << 20), Some(&lower)).0;
     let a = lower.iter().position(|is| *is).expect("one element");
     let seen = |k: usize| rows.batch(a, k).filter(|(j, _)| object(*j) == 1).map(|(_, f)| 16.0 * f.x).sum();
     let (mean, error) = mean_error(&(0..16).map(seen).collect::<Vec<f64>>());
