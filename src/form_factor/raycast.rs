@@ -6,7 +6,6 @@
 //! ray of neighbouring elements (see [`super::source`]).
 
 use super::gathered::{EmitterIrradiance, EmitterRows, EmitterWork, add_batch};
-
 use super::immersed::{Immersed, settle};
 use super::matrix::{ExchangeMatrix, RowSummary};
 use super::rows::{Block, Builder};
@@ -453,6 +452,7 @@ impl<'a, 's> Caster<'a, 's> {
         row.escaped *= scale;
         row.absorbed *= scale;
         row.dropped *= scale;
+        // Rows that see each other are needed to tell.
         row.index2 = 1.0;
         row.exposed = open as f64 / total as f64;
         row

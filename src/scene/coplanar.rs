@@ -163,10 +163,7 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
                     }
                 }
             }
-            let by = |joined: bool| {
-                let joins = |w: &&u32| joins(k, **w) == joined;
-                change.winners.iter().filter(joins).count() > 0
-            };
+            let by = |joined: bool| change.winners.iter().any(|w| joins(k, *w) == joined);
             if by(false) {
                 result.objects.push(face.object);
             }
