@@ -6,7 +6,7 @@ use crate::emitters::Emitters;
 use crate::form_factor::{self, Casting, EmitterRows, EmitterWork, ProjectionMap, Recast, Rows, pass_on};
 use crate::memory::{Factors, Need, Plan};
 use crate::mesh::{Mesh, NONE, Sides, default_element_size};
-use crate::radiosity::{self, Directional, EmitterLight, Solution};
+use crate::radiosity::{self, Directional, EmitterLight, Importance, Solution, View};
 use crate::sampling::MAX_POINTS;
 use crate::scene::{Camera, Features, Scene};
 use crate::visibility::{Visibility, reachable_sides};
@@ -124,8 +124,8 @@ pub struct Pass1Result {
     pub matrix_bytes: usize,
     /// What the user should know.
     pub warnings: Vec<String>,
-    /// Share of each element that other surfaces leave open.
-    pub open: Vec<f64>,
+    /// What the light of each element is worth, where asked for.
+    pub importance: Option<Importance>,
 }
 
 /// Refuses a scene that nothing lights: every image of it would be black.
@@ -165,15 +165,16 @@ pub fn solve_within(
 ) -> Result<Pass1Result> {
     require_light(visibility.scene(), emitters)?;
     let (reached, mesh) = reached_mesh(visibility, cameras, settings, false, stages)?;
-    solve_mesh(limit, visibility, emitters, (&reached, mesh), settings, observer, stages)
+    solve_mesh(limit, visibility, emitters, (&reached, mesh, None), settings, observer, stages)
 }
 
-/// [`solve_within`] of given elements on sides that light or a camera can reach; the settings' element size does not matter.
+/// [`solve_within`] of given elements on sides that light or a camera can reach; the settings' element size does not matter. With
+/// `views`, what each element's light is worth to them and to the scene.
 pub(crate) fn solve_mesh(
     limit: Option<u64>,
     visibility: &Visibility,
     emitters: &Emitters,
-    (reached, mesh): (&Sides, Mesh),
+    (reached, mesh, views): (&Sides, Mesh, Option<&[View]>),
     settings: &Pass1,
     observer: Observer,
     stages: &mut Vec<Stage>,
@@ -249,7 +250,7 @@ pub(crate) fn solve_mesh(
                 (light.map(|light| (matrix, light)), rays)
             })?;
             let mut result = stage("solve", 0, observer, stages, || {
-                (finish(visibility, mesh.clone(), (&matrix).into(), tiles, emitters, light), 0)
+                (finish(visibility, mesh.clone(), ((&matrix).into(), tiles), emitters, light, views), 0)
             })?;
             (result.stored, result.matrix_bytes) = (matrix.stored(), matrix.bytes());
             result
@@ -263,7 +264,8 @@ pub(crate) fn solve_mesh(
             })?;
             stage("solve", 0, observer, stages, || {
                 let before = recast.rays();
-                let result = finish(visibility, mesh.clone(), Rows::Cast(&recast), tiles, emitters, light);
+                let result =
+                    finish(visibility, mesh.clone(), (Rows::Cast(&recast), tiles), emitters, light, views);
                 (result, recast.rays() - before)
             })?
         }
@@ -308,24 +310,38 @@ pub fn solve_directional(
     })
 }
 
+/// What cameras see of diffuse surfaces, by 32 x 32 rays each and at most 64 of them.
+pub(crate) fn views<'a>(
+    visibility: &Visibility,
+    cameras: impl ExactSizeIterator<Item = &'a Camera>,
+) -> Vec<View> {
+    const RAYS: u32 = 32;
+    let scene = visibility.scene();
+    let view = |camera: &Camera| {
+        let frame = camera.frame(scene);
+        let at = |k: u32, n: u32| (f64::from(k) + 0.5) * f64::from(n) / f64::from(RAYS);
+        let ray = |k: u32| {
+            let direction = frame.direction(at(k % RAYS, camera.size[0]), at(k / RAYS, camera.size[1]));
+            let hit = visibility.closest(frame.origin().as_vec3(), direction.as_vec3(), u32::MAX)?;
+            let material = scene.material(&scene.faces[hit.face as usize]);
+            let reflects = material.is_diffuse() && (hit.front || material.two_sided);
+            reflects.then_some((hit.face, hit.front, [hit.u, hit.v]))
+        };
+        (0..RAYS * RAYS).filter_map(ray).collect()
+    };
+    let every = cameras.len().div_ceil(64).max(1);
+    cameras.step_by(every).map(view).collect()
+}
+
 /// Warns where cameras see diffuse surfaces without elements: a solution that was kept did not know the view. At most 64
 /// cameras are asked, by 32 x 32 rays each.
 pub fn without_elements(visibility: &Visibility, mesh: &Mesh, cameras: &[&Camera]) -> Vec<String> {
-    const RAYS: u32 = 32;
     let scene = visibility.scene();
     let mut objects = BTreeSet::new();
-    for camera in cameras.iter().step_by(cameras.len().div_ceil(64).max(1)) {
-        let frame = camera.frame(scene);
-        let at = |k: u32, n: u32| (f64::from(k) + 0.5) * f64::from(n) / f64::from(RAYS);
-        for k in 0..RAYS * RAYS {
-            let direction = frame.direction(at(k % RAYS, camera.size[0]), at(k / RAYS, camera.size[1]));
-            let hit = visibility.closest(frame.origin().as_vec3(), direction.as_vec3(), u32::MAX);
-            let Some(hit) = hit else { continue };
-            let face = &scene.faces[hit.face as usize];
-            let material = scene.material(face);
-            let reflects = material.is_diffuse() && (hit.front || material.two_sided);
-            if reflects && mesh.first(hit.face, hit.front) == NONE {
-                objects.insert(face.object);
+    for view in views(visibility, cameras.iter().copied()) {
+        for (face, front, _) in view {
+            if mesh.first(face, front) == NONE {
+                objects.insert(scene.faces[face as usize].object);
             }
         }
     }
@@ -387,10 +403,10 @@ fn aimed_particles(most: f64, projection: &ProjectionMap) -> u32 {
 fn finish(
     visibility: &Visibility,
     mesh: Mesh,
-    rows: Rows,
-    tiles: bool,
+    (rows, tiles): (Rows, bool),
     emitters: &Emitters,
     light: EmitterLight,
+    views: Option<&[View]>,
 ) -> Result<Pass1Result> {
     let scene = visibility.scene();
     let keep = |e: u32| {
@@ -418,7 +434,8 @@ fn finish(
     }
     let solution = radiosity::solve(scene, mesh, (rows, &check, tiles), emitters, light, TOLERANCE)?;
     warnings.extend(radiosity::warnings(scene, &solution, rows));
+    let importance =
+        views.map(|views| Importance::new(scene, &solution, (rows, &check), views)).transpose()?;
     let factors = Factors::CastAgain;
-    let open = rows.summary().iter().map(|s| s.exposed).collect();
-    Ok(Pass1Result { solution, residuals, factors, stored: 0, matrix_bytes: 0, warnings, open })
+    Ok(Pass1Result { solution, residuals, factors, stored: 0, matrix_bytes: 0, warnings, importance })
 }

@@ -390,38 +390,92 @@ fn fewer_elements_show_the_same_light() {
         (n, e)
     };
     let adaptive = error(0.02, true);
-    let uniform = [0.1, 0.05, 0.039].map(|size| error(size, false));
+    let uniform = [0.1, 0.05, 0.033].map(|size| error(size, false));
     let fourfold = uniform.iter().filter(|u| u.0 >= 4 * adaptive.0).map(|u| u.1).fold(0.0, f64::max);
     assert!(fourfold > 0.0, "{uniform:?}");
     assert!(adaptive.1 < fourfold, "{adaptive:?} {uniform:?}");
 }
 
-/// A lamp close under the middle of a ceiling: the four quarters of the ceiling see it all alike, and what lies behind it is dark.
-/// Mean radiosities of adaptive elements and of uniform ones agree within 1 % (they were 3 % apart when the first mesh was one of
-/// quarters; their standard errors are below 0.1 %).
+/// A room whose walls all emit and reflect alike. With albedo r and all light B A, importance is r / (1 - r) / (B A) everywhere, and an
+/// error of the light shown counts by area: A_i / (A B^2). Pictures count as much as all light, for what they see.
 #[test]
-fn what_the_quarters_of_a_face_see_alike_is_seen() {
+fn importance_has_its_closed_form_in_a_furnace() {
     let mut files = Files::default();
-    files.diffuse("white", &[0.8], &[0.0]).diffuse("lamp", &[0.0], &[40.0]);
+    files.diffuse("white", &[0.6], &[1.0]);
     for (name, points) in box_faces([0.0; 3], [1.0; 3], true) {
         files.polygon(name, "white", &points);
     }
-    let lamp = [[0.35, 0.35, 0.98], [0.35, 0.65, 0.98], [0.65, 0.65, 0.98], [0.65, 0.35, 0.98]];
-    let scene = files.polygon("lamp", "lamp", &lamp).load();
+    let camera = "[camera]\norigin = [0.5, 0.5, 0.9]\ntarget = [0.5, 0.5, 0]\nup = [0, 1, 0]\nfov = 40\nsize = [8, 8]\n";
+    let scene = files.toml(camera).load();
     let device = device();
     let visibility = Visibility::new(&device, &scene).unwrap();
     let emitters = Emitters::new(&visibility);
-    let settings = Pass1 { rays: 1024, element_size: Some(0.045), seed: 1 };
-    let stages = &mut Vec::new();
-    let what = (&settings, Reads::Indirect);
-    let adapted = adaptive::solve(None, &visibility, &emitters, &[], what, &|_| {}, stages).unwrap().0;
-    let uniform = twopass::pipeline::solve(&visibility, &emitters, &[], &settings, &|_| {}, stages).unwrap();
-    let mean = |s: &Solution| -> f64 {
-        let power: f64 = (0..s.mesh.len()).map(|e| s.mesh.area(e as u32) * s.reflected_radiosity(e).x).sum();
-        power / scene.faces.iter().map(|f| f.area).sum::<f64>()
-    };
-    let (a, u) = (mean(&adapted.solution), mean(&uniform.solution));
-    let counts = (adapted.solution.mesh.len(), uniform.solution.mesh.len());
-    println!("{counts:?} elements: {a:.5} and {u:.5} W m^-2");
-    assert!((a / u - 1.0).abs() < 0.01 && 4 * counts.0 < counts.1);
+    let settings = Pass1 { rays: 256, element_size: Some(0.2), seed: 0 };
+    let light = 0.6 / 0.4;
+    for cameras in [&scene.cameras[..0], &scene.cameras[..]] {
+        let what = (&settings, Reads::Reflected);
+        let result =
+            adaptive::solve(None, &visibility, &emitters, cameras, what, &|_| {}, &mut Vec::new()).unwrap().0;
+        let (mesh, importance) = (&result.solution.mesh, result.importance.unwrap());
+        let mut shown = 0.0;
+        for e in 0..mesh.len() {
+            let all = 1.0 / (6.0 * light);
+            let seen = importance.shown[e] - importance.area[e] * all / light;
+            assert!((importance.area[e] - mesh.area(e as u32)).abs() < 1e-12 && seen > -1e-9);
+            shown += seen;
+            if cameras.is_empty() {
+                assert!((importance.sent[e] / (all * 1.5) - 1.0).abs().max_element() < 1e-3);
+                assert!(seen < 1e-9);
+            } else if mesh.normal(&scene, e as u32).z < 0.9 {
+                assert!(seen < 1e-9, "the camera sees one wall alone");
+            }
+        }
+        let pictures = if cameras.is_empty() { 0.0 } else { 1.0 / (light * light) };
+        assert!((shown - pictures).abs() < 1e-6, "{shown}");
+        // A closed room keeps the share r of all importance at each bounce.
+        let uses = if cameras.is_empty() { 1.0 } else { 2.0 };
+        let sum: f64 = (0..mesh.len()).map(|e| importance.area[e] * importance.sent[e].x).sum();
+        assert!((sum * light / (uses * 1.5) - 1.0).abs() < 0.02, "{sum}");
+    }
+}
+
+/// A lamp close under the middle of a ceiling: the four quarters of the ceiling see it all alike, and what lies behind it is dark.
+/// Mean radiosities of adaptive elements and of uniform ones agree within 1 % (at an albedo of 0.8 they were 3 % apart when the first
+/// mesh was one of quarters, at 0.95 1.3 % when errors counted where they are shown alone; standard errors are below 0.1 %). Where
+/// nearly all light is kept, elements of this size are too large, and that is said.
+#[test]
+fn what_the_quarters_of_a_face_see_alike_is_seen() {
+    for (albedo, too_large) in [(0.8, false), (0.95, false), (0.999, true)] {
+        let mut files = Files::default();
+        files.diffuse("white", &[albedo], &[0.0]).diffuse("lamp", &[0.0], &[40.0]);
+        for (name, points) in box_faces([0.0; 3], [1.0; 3], true) {
+            files.polygon(name, "white", &points);
+        }
+        let lamp = [[0.35, 0.35, 0.98], [0.35, 0.65, 0.98], [0.65, 0.65, 0.98], [0.65, 0.35, 0.98]];
+        let scene = files.polygon("lamp", "lamp", &lamp).load();
+        let device = device();
+        let visibility = Visibility::new(&device, &scene).unwrap();
+        let emitters = Emitters::new(&visibility);
+        let settings = Pass1 { rays: 1024, element_size: Some(0.045), seed: 1 };
+        let stages = &mut Vec::new();
+        let what = (&settings, Reads::Indirect);
+        let adapted = adaptive::solve(None, &visibility, &emitters, &[], what, &|_| {}, stages).unwrap().0;
+        let said = adapted.warnings.iter().filter(|w| w.contains("too large")).count();
+        assert_eq!(said, usize::from(too_large), "{:?}", adapted.warnings);
+        println!("{:?}", adapted.warnings);
+        if too_large {
+            continue;
+        }
+        let uniform =
+            twopass::pipeline::solve(&visibility, &emitters, &[], &settings, &|_| {}, stages).unwrap();
+        let mean = |s: &Solution| -> f64 {
+            let power: f64 =
+                (0..s.mesh.len()).map(|e| s.mesh.area(e as u32) * s.reflected_radiosity(e).x).sum();
+            power / scene.faces.iter().map(|f| f.area).sum::<f64>()
+        };
+        let (a, u) = (mean(&adapted.solution), mean(&uniform.solution));
+        let counts = (adapted.solution.mesh.len(), uniform.solution.mesh.len());
+        println!("albedo {albedo}, {counts:?} elements: {a:.5} and {u:.5} W m^-2");
+        assert!((a / u - 1.0).abs() < 0.01 && 4 * counts.0 < counts.1);
+    }
 }

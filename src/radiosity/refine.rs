@@ -1,11 +1,15 @@
-//! How wrong the interpolated light of each element is: where an adaptive mesh needs finer ones.
+//! How wrong the light of each element is: where an adaptive mesh needs finer ones.
 //!
 //! What a mesh whose cells are all a level coarser would have shown is known: the same light, averaged over its larger cells and
 //! interpolated between them. How far that is from what the elements show (the hierarchical surplus) bounds what the next level
 //! would change: by theory a quarter of it where light is smooth, a half across an edge, and so alike for elements that
 //! compete. Of it, what the noise of the elements explains says nothing about their size.
+//!
+//! What elements send on is their mean light. It is sent wrong where an element is brighter in one part and what its parts send is worth
+//! more in one ([`Importance`]): by the covariance of both, which a coarser cell has over its quarters. Behind a lamp close under a
+//! ceiling, where what is sent is lost and no light arrives, that is what matters.
 
-use super::{Field, Solution};
+use super::{Field, Importance, Solution};
 use crate::color::{self, Rgb};
 use crate::mesh::{Division, Mesh, NONE, Nodes};
 use crate::scene::Scene;
@@ -26,9 +30,27 @@ pub enum Reads {
     Indirect,
 }
 
-/// For each element, the square of the error of its interpolated light, summed over its area (W^2 m^-2), as the coarser level
-/// lets expect it up to a factor that all have in common; zero on elements of level 0. `division` is that of the solution's mesh, `open`
-/// the elements' open shares.
+/// How wrong one element's light is, as the coarser level lets expect up to a factor that all have in common.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct ElementError {
+    /// What it adds to the relative squared error of all light and of the pictures where it is shown.
+    pub shown: f64,
+    /// What it makes wrong of the light elsewhere, in relation to that light.
+    pub sent: f64,
+}
+
+impl ElementError {
+    fn plus(self, other: ElementError, times: f64) -> ElementError {
+        ElementError { shown: self.shown + times * other.shown, sent: self.sent + times * other.sent }
+    }
+
+    /// Squared relative error of a sum, were all that is sent wrong in the same sense.
+    fn square(self) -> f64 {
+        self.shown + self.sent * self.sent
+    }
+}
+
+/// The errors of all elements; zero on elements of level 0. `division` is that of the solution's mesh.
 ///
 /// # Errors
 /// As [`Mesh::divided`].
@@ -36,18 +58,20 @@ pub fn element_errors(
     scene: &Scene,
     division: &Division,
     solution: &Solution,
-    open: &[f64],
+    importance: &Importance,
     reads: Reads,
-) -> crate::Result<Vec<f64>> {
+) -> crate::Result<Vec<ElementError>> {
     let mesh = &solution.mesh;
     let field = match reads {
         Reads::Reflected => &solution.reflected,
         Reads::Indirect => &solution.indirect,
     };
     let sides = mesh.sides();
+    let Importance { area, shown: weight, sent: worth } = importance;
     let shown: Vec<Rgb> =
         (0..mesh.len() as u32).map(|e| at_centroid(field, (mesh, &solution.nodes), mesh, e)).collect();
-    let mut errors = vec![0.0; mesh.len()];
+    let sent: Vec<Rgb> = (0..mesh.len()).map(|e| solution.reflected_radiosity(e)).collect();
+    let mut errors = vec![ElementError::default(); mesh.len()];
     for level in 1..=division.deepest() {
         let (coarse, within) = division.truncated(level - 1);
         let coarse = Mesh::divided(scene, &sides, &coarse, false)?;
@@ -57,37 +81,40 @@ pub fn element_errors(
                 (coarse.first(face, front) + within[face as usize][cell as usize]) as usize
             })
             .collect();
-        let mut means = vec![Rgb::ZERO; coarse.len()];
         let mut covered = vec![0.0; coarse.len()];
-        for (e, p) in parent.iter().enumerate() {
-            let area = open[e] * mesh.area(e as u32);
-            means[*p] += area * shown[e];
-            covered[*p] += area;
-        }
-        for (p, (mean, area)) in means.iter_mut().zip(&mut covered).enumerate() {
-            *mean = if *area > 0.0 { *mean / *area } else { Rgb::ZERO };
-            *area /= coarse.area(p as u32);
-        }
+        parent.iter().zip(area).for_each(|(p, a)| covered[*p] += a);
+        let means = |of: &[Rgb]| {
+            let mut sums = vec![Rgb::ZERO; coarse.len()];
+            for (e, p) in parent.iter().enumerate() {
+                sums[*p] += area[e] * of[e];
+            }
+            let mean = |(sum, area): (&Rgb, &f64)| if *area > 0.0 { *sum / *area } else { Rgb::ZERO };
+            sums.iter().zip(&covered).map(mean).collect::<Vec<Rgb>>()
+        };
+        let (sent_means, worth_means) = (means(&sent), means(worth));
         let nodes = Nodes::new(scene, &coarse);
-        let before = Field::new(&coarse, &nodes, &covered, &means);
+        let open: Vec<f64> =
+            covered.iter().enumerate().map(|(p, area)| area / coarse.area(p as u32)).collect();
+        let before = Field::new(&coarse, &nodes, &open, &means(&shown));
         // Sums over the quarters of each coarser cell: of the squares, and of what noise makes of them.
         let mut sums = vec![(0.0, 0.0); coarse.len()];
         for e in (0..mesh.len()).filter(|e| mesh.level(*e as u32) == level) {
             let surplus = shown[e] - at_centroid(&before, (&coarse, &nodes), mesh, e as u32);
-            let area = open[e] * mesh.area(e as u32);
             // Of the standard error a part of the light has its share.
-            let whole = color::mean(solution.reflected_radiosity(e));
+            let whole = color::mean(sent[e]);
             let share = if whole > 0.0 { (color::mean(shown[e]) / whole).clamp(0.0, 1.0) } else { 1.0 };
             let noise = solution.standard_error[e] * share;
             let noise = color::mean(noise * noise);
-            errors[e] = area * color::mean(surplus * surplus);
-            sums[parent[e]].0 += errors[e];
-            sums[parent[e]].1 += area * if noise.is_finite() { noise } else { 0.0 };
+            errors[e].shown = weight[e] * color::mean(surplus * surplus);
+            sums[parent[e]].0 += errors[e].shown;
+            sums[parent[e]].1 += weight[e] * if noise.is_finite() { noise } else { 0.0 };
+            let product = (sent[e] - sent_means[parent[e]]) * (worth[e] - worth_means[parent[e]]);
+            errors[e].sent = area[e] * color::mean(product.abs());
         }
         for e in (0..mesh.len()).filter(|e| mesh.level(*e as u32) == level) {
             let (square, noise) = sums[parent[e]];
             if square > 0.0 {
-                errors[e] *= (1.0 - noise / square).max(0.0);
+                errors[e].shown *= (1.0 - noise / square).max(0.0);
             }
         }
     }
@@ -114,39 +141,48 @@ pub struct Changes {
 
 impl Changes {
     /// Changes by the elements' errors; `rest` is the number of times. The sides of a face share its cells.
-    pub fn new(mesh: &Mesh, division: &Division, errors: &[f64], rest: f64) -> Changes {
-        let mut own: HashMap<(u32, u32), f64> = HashMap::new();
-        let mut cells: Vec<(f64, (u32, u32))> = Vec::new();
-        let (mut left, mut final_error) = (0.0, 0.0);
+    pub fn new(mesh: &Mesh, division: &Division, errors: &[ElementError], rest: f64) -> Changes {
+        let mut own: HashMap<(u32, u32), ElementError> = HashMap::new();
+        let mut cells: Vec<(ElementError, (u32, u32))> = Vec::new();
+        let (mut left, mut finest) = (ElementError::default(), ElementError::default());
         for e in 0..mesh.len() as u32 {
             let (face, front, cell) = mesh.place(e);
             if !front && mesh.first(face, true) != NONE {
                 continue;
             }
+            let mut error = errors[e as usize];
             let behind = if front { mesh.opposite(e) } else { NONE };
-            let error = errors[e as usize] + if behind == NONE { 0.0 } else { errors[behind as usize] };
+            if behind != NONE {
+                error = error.plus(errors[behind as usize], 1.0);
+            }
             own.insert((face, cell), error);
             let levels = division.levels_left(face, cell);
-            final_error += error * HALF.powi(levels.into());
-            if error > 0.0 && levels > 0 {
+            finest = finest.plus(error, HALF.powi(levels.into()));
+            if levels > 0 {
                 cells.push((error, (face, cell)));
-                left += error;
+                left = left.plus(error, 1.0);
             }
         }
-        let allowed = rest * final_error;
-        let excess = if left > 0.0 { left / allowed } else { 0.0 };
-        cells.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        let allowed = rest * finest.square();
+        let now = left.square();
+        let excess = if now > 0.0 { now / allowed } else { 0.0 };
+        // What a cell has of the squared error, to first order.
+        let slope = 2.0 * left.sent;
+        let part = |e: &ElementError| e.shown + slope * e.sent;
+        cells.retain(|(e, _)| part(e) > 0.0);
+        cells.sort_by(|a, b| part(&b.0).total_cmp(&part(&a.0)).then(a.1.cmp(&b.1)));
         let mut divide = Vec::new();
         for (error, at) in cells {
-            if left <= allowed {
+            if left.square() <= allowed {
                 break;
             }
-            left -= error;
+            left = left.plus(error, -1.0);
             divide.push(at);
         }
         divide.sort_unstable();
-        let all =
-            |(face, cell): (u32, u32)| -> f64 { (cell..cell + 4).filter_map(|c| own.get(&(face, c))).sum() };
+        let all = |(face, cell): (u32, u32)| -> f64 {
+            (cell..cell + 4).filter_map(|c| own.get(&(face, c))).map(part).sum()
+        };
         let mut quarters: Vec<_> = division.quarters().into_iter().map(|at| (all(at), at)).collect();
         quarters.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let (mut join, mut lost) = (Vec::new(), 0.0);

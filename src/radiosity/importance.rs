@@ -1,0 +1,91 @@
+//! What the light of each element is worth to all surfaces and to the pictures of the scene's cameras.
+//!
+//! Elements show their light and send it on. Of a mean of the light shown, with weights w_i, the radiosity sent by an element j makes
+//! up as much as the irradiance that j would have, did every i emit `rho_i w_i`: importance is transported as light is (Smits, Arvo
+//! and Salesin 1992, "An importance-driven radiosity algorithm").
+
+use super::exchange::{Exchange, residual_operator};
+use super::solve::{self, Acceleration};
+use super::symmetric::Symmetric;
+use super::{Solution, Transport, wants_reciprocity};
+use crate::Result;
+use crate::color::{self, Rgb};
+use crate::form_factor::{Check, Rows};
+use crate::mesh::NONE;
+use crate::scene::Scene;
+
+/// Largest error of the importance over the largest importance.
+const TOLERANCE: f64 = 1e-3;
+
+/// Where rays of one camera meet diffuse surfaces: face, front side and (u, v) there.
+pub type View = Vec<(u32, bool, [f32; 2])>;
+
+/// What the light of each element is worth: the scene's reflected light counts as 1, and so does that of all pictures.
+#[derive(Debug, Clone)]
+pub struct Importance {
+    /// Open areas \[m^2\].
+    pub area: Vec<f64>,
+    /// What the square of an error of its shown light makes of the relative squared error of all light and of the pictures
+    /// \[W^-2 m^4\].
+    pub shown: Vec<f64>,
+    /// What power sent from it brings to the light of all surfaces and pictures, in relation to that light \[W^-1\].
+    pub sent: Vec<Rgb>,
+}
+
+impl Importance {
+    /// Of a solution; `check` is what [`Rows::check`] found, `views` what cameras see.
+    ///
+    /// # Errors
+    /// The adjoint system has no solution.
+    pub fn new(
+        scene: &Scene,
+        solution: &Solution,
+        (rows, check): (Rows, &Check),
+        views: &[View],
+    ) -> Result<Importance> {
+        let mesh = &solution.mesh;
+        let n = mesh.len();
+        let mut transport = Transport::of(scene, mesh);
+        let open: Vec<f64> = rows.summary().iter().map(|s| s.exposed).collect();
+        transport.conserve(&open);
+        let mut exchange = Exchange::new(rows, &check.sums);
+        let ones = residual_operator(|x| exchange.gather(x), &transport, &vec![Rgb::ONE; n]);
+        if let Some(matrix) = rows.kept().filter(|_| wants_reciprocity(scene, &ones)) {
+            exchange.make_reciprocal(matrix, (0..n as u32).map(|e| mesh.area(e)).collect());
+        }
+        let area: Vec<f64> = (0..n).map(|e| open[e] * mesh.area(e as u32)).collect();
+        let light: Vec<f64> = (0..n).map(|e| color::mean(solution.reflected_radiosity(e))).collect();
+        let (mut shown, mut interest) = (vec![0.0; n], vec![0.0; n]);
+        let mut add = |weight: &[f64], share: f64| {
+            let (mut mean, mut square) = (0.0, 0.0);
+            for (w, b) in weight.iter().zip(&light) {
+                (mean, square) = (mean + w * b, square + w * b * b);
+            }
+            if mean > 0.0 && square > 0.0 {
+                for e in (0..n).filter(|e| area[*e] > 0.0) {
+                    shown[e] += share * weight[e] / square;
+                    interest[e] += share * weight[e] / (mean * area[e]);
+                }
+            }
+        };
+        add(&area, 1.0);
+        for view in views {
+            let mut rays = vec![0.0; n];
+            for (face, front, [u, v]) in view {
+                if mesh.first(*face, *front) != NONE {
+                    rays[mesh.element(*face, *front, *u, *v) as usize] += 1.0;
+                }
+            }
+            add(&rays, 1.0 / views.len() as f64);
+        }
+        let interest: Vec<Rgb> = transport.reflectance.iter().zip(&interest).map(|(r, i)| *r * *i).collect();
+        let source = exchange.gather(&interest);
+        let side: Vec<u32> = (0..n as u32).map(|e| mesh.side(e)).collect();
+        let acceleration = match Symmetric::new(&exchange, &transport, &side) {
+            Some(symmetric) => Acceleration::Symmetric(symmetric),
+            None => Acceleration::Balance,
+        };
+        let (sent, _) = solve::solve(&exchange, &transport, &acceleration, &source, None, TOLERANCE)?;
+        Ok(Importance { area, shown, sent })
+    }
+}
