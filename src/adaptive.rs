@@ -8,8 +8,8 @@ use crate::Result;
 use crate::emitters::Emitters;
 use crate::mesh::{Division, Mesh, default_element_size};
 use crate::pipeline::{self, Observer, Pass1, Pass1Result, Stage};
-use crate::radiosity::{Changes, ElementError, Reads, Solution, element_errors};
-use crate::scene::{Camera, Scene};
+use crate::radiosity::{self, Changes, Reads, element_errors};
+use crate::scene::Camera;
 use crate::visibility::Visibility;
 use serde::Serialize;
 
@@ -21,9 +21,6 @@ const REST: f64 = 2.0;
 const LITTLE: usize = 10;
 /// How many times what may be left is nearly that.
 const NEARLY: f64 = 1.1;
-/// Relative error of all light, as the coarser level lets expect it, that is said. Measured in rooms with a lamp close under the
-/// ceiling: three times what it is.
-const MUCH: f64 = 0.04;
 
 /// What adapting came to.
 #[derive(Debug, Clone, Serialize)]
@@ -64,11 +61,13 @@ pub fn solve(
         let what = (&reached, mesh, Some(&views[..]));
         let mut result =
             pipeline::solve_mesh(limit, visibility, emitters, what, settings, observer, &mut own)?;
+        let mut too_large = None;
         let more = pipeline::building(stages, || -> Result<bool> {
             let s = &result.solution;
             let Some(importance) = &result.importance else { return Ok(false) };
             let errors = element_errors(scene, &division, s, importance, reads)?;
-            result.warnings.extend(sent_wrong(scene, s, &errors));
+            let sent: Vec<f64> = errors.iter().map(|e| e.sent).collect();
+            too_large = radiosity::too_large(scene, s, &sent);
             if adapted.elements.len() >= MOST_PASSES {
                 return Ok(false);
             }
@@ -87,26 +86,9 @@ pub fn solve(
             Ok(true)
         })?;
         if !more {
+            result.warnings.extend(too_large);
             pipeline::merge(stages, own);
             return Ok((result, adapted));
         }
     }
-}
-
-/// Warns where elements that are too large send much light to wrong places.
-fn sent_wrong(scene: &Scene, solution: &Solution, errors: &[ElementError]) -> Option<String> {
-    let sum: f64 = errors.iter().map(|e| e.sent).sum();
-    let mut by_object = vec![0.0; scene.objects.len()];
-    for (e, error) in errors.iter().enumerate() {
-        by_object[scene.faces[solution.mesh.place(e as u32).0 as usize].object as usize] += error.sent;
-    }
-    let worst = (0..by_object.len()).max_by(|a, b| by_object[*a].total_cmp(&by_object[*b]))?;
-    (sum > MUCH).then(|| {
-        format!(
-            "elements of --element-size are too large for light that changes within them: all light may be off by up to some {:.0} %, \
-             most of it by object \"{}\"; choose a smaller --element-size",
-            100.0 * sum,
-            scene.objects[worst]
-        )
-    })
 }

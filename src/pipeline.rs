@@ -436,6 +436,12 @@ fn finish(
     warnings.extend(radiosity::warnings(scene, &solution, rows));
     let importance =
         views.map(|views| Importance::new(scene, &solution, (rows, &check), views)).transpose()?;
+    if views.is_none() && solution.loss() < radiosity::LITTLE_LOSS {
+        // What elements send to wrong places grows with the number of bounces.
+        let importance = Importance::new(scene, &solution, (rows, &check), &[])?;
+        let sent = radiosity::sent_errors(&solution, &importance);
+        warnings.extend(radiosity::too_large(scene, &solution, &sent));
+    }
     let factors = Factors::CastAgain;
     Ok(Pass1Result { solution, residuals, factors, stored: 0, matrix_bytes: 0, warnings, importance })
 }

@@ -442,7 +442,7 @@ fn importance_has_its_closed_form_in_a_furnace() {
 /// A lamp close under the middle of a ceiling: the four quarters of the ceiling see it all alike, and what lies behind it is dark.
 /// Mean radiosities of adaptive elements and of uniform ones agree within 1 % (at an albedo of 0.8 they were 3 % apart when the first
 /// mesh was one of quarters, at 0.95 1.3 % when errors counted where they are shown alone; standard errors are below 0.1 %). Where
-/// nearly all light is kept, elements of this size are too large, and that is said.
+/// nearly all light is kept, elements of this size are too large (the uniform ones: 1.2 % too dark), and both say so.
 #[test]
 fn what_the_quarters_of_a_face_see_alike_is_seen() {
     for (albedo, too_large) in [(0.8, false), (0.95, false), (0.999, true)] {
@@ -460,14 +460,15 @@ fn what_the_quarters_of_a_face_see_alike_is_seen() {
         let stages = &mut Vec::new();
         let what = (&settings, Reads::Indirect);
         let adapted = adaptive::solve(None, &visibility, &emitters, &[], what, &|_| {}, stages).unwrap().0;
-        let said = adapted.warnings.iter().filter(|w| w.contains("too large")).count();
-        assert_eq!(said, usize::from(too_large), "{:?}", adapted.warnings);
-        println!("{:?}", adapted.warnings);
+        let uniform =
+            twopass::pipeline::solve(&visibility, &emitters, &[], &settings, &|_| {}, stages).unwrap();
+        for warnings in [&adapted.warnings, &uniform.warnings] {
+            let said = warnings.iter().filter(|w| w.contains("too large")).count();
+            assert_eq!(said, usize::from(too_large), "{warnings:?}");
+        }
         if too_large {
             continue;
         }
-        let uniform =
-            twopass::pipeline::solve(&visibility, &emitters, &[], &settings, &|_| {}, stages).unwrap();
         let mean = |s: &Solution| -> f64 {
             let power: f64 =
                 (0..s.mesh.len()).map(|e| s.mesh.area(e as u32) * s.reflected_radiosity(e).x).sum();

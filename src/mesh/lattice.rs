@@ -74,6 +74,12 @@ impl Lattice {
         if self.triangle { self.row(iv) + 2 * iu + u32::from(inverted) } else { iv * self.nu + iu }
     }
 
+    /// Column and row of the block of two by two cells that a cell is in.
+    pub fn block(&self, cell: u32) -> (u32, u32) {
+        let (iu, iv, _) = self.at(cell);
+        (iu / 2, iv / 2)
+    }
+
     /// Column, row and orientation of a cell.
     pub(super) fn at(&self, cell: u32) -> CellAt {
         if self.triangle { self.triangle_cell(cell) } else { (cell % self.nu, cell / self.nu, false) }

@@ -121,6 +121,31 @@ pub fn element_errors(
     Ok(errors)
 }
 
+/// What the elements of a regular mesh make wrong of the light elsewhere, in relation to that light, as blocks of two by two let expect.
+pub fn sent_errors(solution: &Solution, importance: &Importance) -> Vec<f64> {
+    let mesh = &solution.mesh;
+    let block = |e: u32| {
+        let (face, front, cell) = mesh.place(e);
+        (face, front, mesh.grid(face).lattice.block(cell))
+    };
+    let Importance { area, sent: worth, .. } = importance;
+    let mut sums: HashMap<_, (f64, Rgb, Rgb)> = HashMap::new();
+    for e in 0..mesh.len() {
+        let sum = sums.entry(block(e as u32)).or_default();
+        sum.0 += area[e];
+        sum.1 += area[e] * solution.reflected_radiosity(e);
+        sum.2 += area[e] * worth[e];
+    }
+    let error = |e: usize| match sums[&block(e as u32)] {
+        (whole, sent, value) if whole > 0.0 => {
+            let product = (solution.reflected_radiosity(e) - sent / whole) * (worth[e] - value / whole);
+            area[e] * color::mean(product.abs())
+        }
+        _ => 0.0,
+    };
+    (0..mesh.len()).map(error).collect()
+}
+
 /// A field of any mesh at the centroid of an element of another.
 fn at_centroid(field: &Field, (of, nodes): (&Mesh, &Nodes), mesh: &Mesh, element: u32) -> Rgb {
     let (face, front, cell) = mesh.place(element);

@@ -15,6 +15,9 @@ const TOLERATED: f64 = 0.05;
 const CRACK: f64 = 1e-3;
 /// Departure of the power balance that needs no explanation.
 const BALANCED: f64 = 1e-3;
+/// Relative error of all light from elements that are too large that is said. As the coarser level lets expect it, it is three times
+/// what it is in rooms with a lamp close under the ceiling.
+const MUCH: f64 = 0.03;
 /// Objects named in one warning.
 const NAMED: usize = 5;
 
@@ -49,6 +52,25 @@ pub fn warnings(scene: &Scene, solution: &Solution, rows: Rows) -> Vec<String> {
     covered_sheets(scene, solution, rows, &mut warnings);
     cracks(scene, solution, rows, &mut warnings);
     warnings
+}
+
+/// Warns where elements that are too large send much light to wrong places; `sent` is what each makes wrong of the light elsewhere, in
+/// relation to that light.
+pub fn too_large(scene: &Scene, solution: &Solution, sent: &[f64]) -> Option<String> {
+    let sum: f64 = sent.iter().sum();
+    let mut by_object = vec![0.0; scene.objects.len()];
+    for (e, sent) in sent.iter().enumerate() {
+        by_object[scene.faces[solution.mesh.place(e as u32).0 as usize].object as usize] += sent;
+    }
+    let worst = (0..by_object.len()).max_by(|a, b| by_object[*a].total_cmp(&by_object[*b]))?;
+    (sum > MUCH).then(|| {
+        format!(
+            "elements are too large for light that changes within them: all light may be off by up to some {:.0} %, most of it by \
+             object \"{}\"; choose a smaller --element-size",
+            100.0 * sum,
+            scene.objects[worst]
+        )
+    })
 }
 
 /// What to look at where the balance fails and a scene has glass: of a surface that bends light and does not close a body,
