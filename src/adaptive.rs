@@ -1,8 +1,8 @@
 //! Pass 1 on elements that are fine only where the light asks for it.
 //!
 //! A coarse mesh is solved, the elements whose interpolated light is most wrong, or makes that of others wrong, are divided, and
-//! the new mesh is solved in turn, until what is left to divide matters little beside the rest or nothing may be divided further. Where the first mesh is finer
-//! than the light asks for, its cells are joined once.
+//! the new mesh is solved in turn, until what is left to divide matters little beside the rest or nothing may be divided further.
+//! Where the first mesh is finer than the light asks for, its cells are joined once.
 
 use crate::Result;
 use crate::emitters::Emitters;

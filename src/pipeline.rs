@@ -436,8 +436,8 @@ fn finish(
     warnings.extend(radiosity::warnings(scene, &solution, rows));
     let importance =
         views.map(|views| Importance::new(scene, &solution, (rows, &check), views)).transpose()?;
-    if views.is_none() && solution.loss() < radiosity::LITTLE_LOSS {
-        // What elements send to wrong places grows with the number of bounces.
+    // What elements send to wrong places grows with the number of bounces. Rows that are cast again would take too long.
+    if views.is_none() && rows.kept().is_some() && solution.loss() < radiosity::LITTLE_LOSS {
         let importance = Importance::new(scene, &solution, (rows, &check), &[])?;
         let sent = radiosity::sent_errors(&solution, &importance);
         warnings.extend(radiosity::too_large(scene, &solution, &sent));

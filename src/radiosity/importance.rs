@@ -78,8 +78,9 @@ impl Importance {
             }
             add(&rays, 1.0 / views.len() as f64);
         }
-        let interest: Vec<Rgb> = transport.reflectance.iter().zip(&interest).map(|(r, i)| *r * *i).collect();
-        let source = exchange.gather(&interest);
+        // What is shown is irradiance reflected or let through.
+        let interest: Vec<Rgb> = interest.into_iter().map(Rgb::splat).collect();
+        let source = exchange.gather(&transport.reflect(&interest));
         let side: Vec<u32> = (0..n as u32).map(|e| mesh.side(e)).collect();
         let acceleration = match Symmetric::new(&exchange, &transport, &side) {
             Some(symmetric) => Acceleration::Symmetric(symmetric),
