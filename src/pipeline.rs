@@ -438,9 +438,10 @@ fn finish(
         views.map(|views| Importance::new(scene, &solution, (rows, &check), views)).transpose()?;
     // What elements send to wrong places grows with the number of bounces. Rows that are cast again would take too long.
     if views.is_none() && rows.kept().is_some() && solution.loss() < radiosity::LITTLE_LOSS {
-        let importance = Importance::new(scene, &solution, (rows, &check), &[])?;
-        let sent = radiosity::sent_errors(&solution, &importance);
-        warnings.extend(radiosity::too_large(scene, &solution, &sent));
+        if let Ok(importance) = Importance::new(scene, &solution, (rows, &check), &[]) {
+            let sent = radiosity::sent_errors(&solution, &importance);
+            warnings.extend(radiosity::too_large(scene, &solution, &sent));
+        }
     }
     let factors = Factors::CastAgain;
     Ok(Pass1Result { solution, residuals, factors, stored: 0, matrix_bytes: 0, warnings, importance })

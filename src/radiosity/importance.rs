@@ -15,7 +15,7 @@ use crate::mesh::NONE;
 use crate::scene::Scene;
 
 /// Largest error of the importance over the largest importance.
-const TOLERANCE: f64 = 1e-3;
+const TOLERANCE: f64 = 1e-6;
 
 /// Where rays of one camera meet diffuse surfaces: face, front side and (u, v) there.
 pub type View = Vec<(u32, bool, [f32; 2])>;
