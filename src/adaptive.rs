@@ -67,15 +67,12 @@ pub fn solve(
             let Some(importance) = &result.importance else { return Ok(false) };
             let errors = element_errors(scene, &division, s, importance, reads)?;
             let sent: Vec<f64> = errors.iter().map(|e| e.sent).collect();
-            too_large = radiosity::too_large(scene, s, &sent);
+            too_large = radiosity::too_large(scene, s, &sent, !views.is_empty());
             if adapted.elements.len() >= MOST_PASSES {
                 return Ok(false);
             }
-            let mut changes = Changes::new(&s.mesh, &division, &errors, REST);
-            if adapted.elements.len() > 1 {
-                changes.join.clear();
-            }
-            let Changes { divide, join, excess } = changes;
+            let first = adapted.elements.len() == 1;
+            let Changes { divide, join, excess } = Changes::new(&s.mesh, &division, &errors, REST, first);
             let little = 3 * divide.len() <= elements / LITTLE && excess < NEARLY;
             if (divide.is_empty() || little) && 3 * join.len() <= elements / LITTLE {
                 return Ok(false);

@@ -6,7 +6,7 @@ use crate::emitters::Emitters;
 use crate::form_factor::{self, Casting, EmitterRows, EmitterWork, ProjectionMap, Recast, Rows, pass_on};
 use crate::memory::{Factors, Need, Plan};
 use crate::mesh::{Mesh, NONE, Sides, default_element_size};
-use crate::radiosity::{self, Directional, EmitterLight, Importance, Solution, View};
+use crate::radiosity::{self, Directional, EmitterLight, Importance, Solution, System, View};
 use crate::sampling::MAX_POINTS;
 use crate::scene::{Camera, Features, Scene};
 use crate::visibility::{Visibility, reachable_sides};
@@ -432,15 +432,15 @@ fn finish(
             100.0 * residuals.dropped
         ));
     }
-    let solution = radiosity::solve(scene, mesh, (rows, &check, tiles), emitters, light, TOLERANCE)?;
+    let system = System::new(scene, &mesh, (rows, &check, tiles));
+    let solution = radiosity::solve(scene, mesh, &system, emitters, light, TOLERANCE)?;
     warnings.extend(radiosity::warnings(scene, &solution, rows));
-    let importance =
-        views.map(|views| Importance::new(scene, &solution, (rows, &check), views)).transpose()?;
+    let importance = views.map(|views| Importance::new(scene, &solution, &system, views)).transpose()?;
     // What elements send to wrong places grows with the number of bounces. Rows that are cast again would take too long.
     if views.is_none() && rows.kept().is_some() && solution.loss() < radiosity::LITTLE_LOSS {
-        if let Ok(importance) = Importance::new(scene, &solution, (rows, &check), &[]) {
-            let sent = radiosity::sent_errors(&solution, &importance);
-            warnings.extend(radiosity::too_large(scene, &solution, &sent));
+        if let Ok(importance) = Importance::new(scene, &solution, &system, &[]) {
+            let sent = radiosity::block_errors(&solution, &importance);
+            warnings.extend(radiosity::too_large(scene, &solution, &sent, false));
         }
     }
     let factors = Factors::CastAgain;

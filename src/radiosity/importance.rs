@@ -4,13 +4,9 @@
 //! up as much as the irradiance that j would have, did every i emit `rho_i w_i`: importance is transported as light is (Smits, Arvo
 //! and Salesin 1992, "An importance-driven radiosity algorithm").
 
-use super::exchange::{Exchange, residual_operator};
-use super::solve::{self, Acceleration};
-use super::symmetric::Symmetric;
-use super::{Solution, Transport, wants_reciprocity};
+use super::{Solution, System};
 use crate::Result;
 use crate::color::{self, Rgb};
-use crate::form_factor::{Check, Rows};
 use crate::mesh::NONE;
 use crate::scene::Scene;
 
@@ -33,26 +29,14 @@ pub struct Importance {
 }
 
 impl Importance {
-    /// Of a solution; `check` is what [`Rows::check`] found, `views` what cameras see.
+    /// Of a solution of `system`; `views` is what cameras see.
     ///
     /// # Errors
     /// The adjoint system has no solution.
-    pub fn new(
-        scene: &Scene,
-        solution: &Solution,
-        (rows, check): (Rows, &Check),
-        views: &[View],
-    ) -> Result<Importance> {
+    pub fn new(scene: &Scene, solution: &Solution, system: &System, views: &[View]) -> Result<Importance> {
         let mesh = &solution.mesh;
         let n = mesh.len();
-        let mut transport = Transport::of(scene, mesh);
-        let open: Vec<f64> = rows.summary().iter().map(|s| s.exposed).collect();
-        transport.conserve(&open);
-        let mut exchange = Exchange::new(rows, &check.sums);
-        let ones = residual_operator(|x| exchange.gather(x), &transport, &vec![Rgb::ONE; n]);
-        if let Some(matrix) = rows.kept().filter(|_| wants_reciprocity(scene, &ones)) {
-            exchange.make_reciprocal(matrix, (0..n as u32).map(|e| mesh.area(e)).collect());
-        }
+        let System { open, transport, exchange, .. } = system;
         let area: Vec<f64> = (0..n).map(|e| open[e] * mesh.area(e as u32)).collect();
         let light: Vec<f64> = (0..n).map(|e| color::mean(solution.reflected_radiosity(e))).collect();
         let (mut shown, mut interest) = (vec![0.0; n], vec![0.0; n]);
@@ -81,12 +65,7 @@ impl Importance {
         // What is shown is irradiance reflected or let through.
         let interest: Vec<Rgb> = interest.into_iter().map(Rgb::splat).collect();
         let source = exchange.gather(&transport.reflect(&interest));
-        let side: Vec<u32> = (0..n as u32).map(|e| mesh.side(e)).collect();
-        let acceleration = match Symmetric::new(&exchange, &transport, &side) {
-            Some(symmetric) => Acceleration::Symmetric(symmetric),
-            None => Acceleration::Balance,
-        };
-        let (sent, _) = solve::solve(&exchange, &transport, &acceleration, &source, None, TOLERANCE)?;
+        let (sent, _) = system.solve(&system.acceleration(scene, mesh), &source, TOLERANCE)?;
         Ok(Importance { area, shown, sent })
     }
 }

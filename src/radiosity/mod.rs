@@ -13,6 +13,7 @@ mod reconstruct;
 mod refine;
 mod solve;
 mod symmetric;
+mod system;
 mod trust;
 mod uncertainty;
 
@@ -23,24 +24,21 @@ pub use file::Kept;
 pub use importance::{Importance, View};
 pub use ledger::Ledger;
 pub use reconstruct::Field;
-pub use refine::{Changes, ElementError, Reads, element_errors, sent_errors};
+pub use refine::{Changes, ElementError, Reads, block_errors, element_errors};
 pub use solve::Convergence;
+pub(crate) use system::LITTLE_LOSS;
+pub use system::System;
 pub use trust::{UNCERTAIN, too_large, warnings};
 pub use uncertainty::ObjectRadiosity;
 
 use crate::color::{self, Rgb};
 use crate::emitters::Emitters;
-use crate::form_factor::{Check, EmitterIrradiance, EmitterRows, ExchangeMatrix, Rows};
+use crate::form_factor::{EmitterIrradiance, EmitterRows, ExchangeMatrix, Rows};
 use crate::mesh::{Mesh, NONE, Nodes};
 use crate::scene::Scene;
 use rayon::prelude::*;
 use solve::Acceleration;
 use std::f64::consts::PI;
-
-/// Loss of gathered light below which the exchange is made reciprocal. Measured: a room of one albedo and 618 elements with 256 rays
-/// each has a root mean square error of 0.151 % from rows and of 0.168 % when made reciprocal at an albedo of 0.95, 0.113 and
-/// 0.105 % at 0.97, 0.087 and 0.036 % at 0.99.
-pub(crate) const LITTLE_LOSS: f64 = 0.03;
 
 /// The solved radiosity of a scene; every vector holds one value an element.
 #[derive(Debug, Clone)]
@@ -111,21 +109,21 @@ impl Sources {
     }
 }
 
-/// Solves for the radiosity of every element; `check` is what [`Rows::check`] found; `tiles` allows to keep the entries of many
-/// rows once more, by tiles, for speed.
+/// Solves for the radiosity of every element of a system's mesh.
+///
+/// # Errors
+/// No steady state exists, or none was found to `tolerance`.
 pub fn solve(
     scene: &Scene,
     mesh: Mesh,
-    (rows, check, tiles): (Rows, &Check, bool),
+    system: &System,
     emitters: &Emitters,
     light: EmitterLight,
     tolerance: f64,
 ) -> crate::Result<Solution> {
-    let n = mesh.len();
+    let (n, rows) = (mesh.len(), system.exchange.rows);
     let batches = rows.batches();
-    let mut transport = Transport::of(scene, &mesh);
-    let open: Vec<f64> = rows.summary().iter().map(|s| s.exposed).collect();
-    transport.conserve(&open);
+    let System { open, transport, exchange, .. } = system;
     // Means over the open part of each element: covered parts receive nothing and are not seen.
     let per_open = |row: usize| match open[row] {
         o if o > 0.0 => 1.0 / o,
@@ -151,23 +149,8 @@ pub fn solve(
         })
         .collect();
     let incident: Vec<Rgb> = sources.iter().map(Sources::total).collect();
-    let mut exchange = exchange::Exchange::new(rows, &check.sums);
-    let mut ones = exchange::residual_operator(|x| exchange.gather(x), &transport, &vec![Rgb::ONE; n]);
-    if let Some(matrix) = rows.kept().filter(|_| wants_reciprocity(scene, &ones)) {
-        exchange.make_reciprocal(matrix, (0..n as u32).map(|e| mesh.area(e)).collect());
-        ones = exchange::residual_operator(|x| exchange.gather(x), &transport, &vec![Rgb::ONE; n]);
-    } else if tiles {
-        exchange.make_tiles();
-    }
-    let side: Vec<u32> = (0..n as u32).map(|e| mesh.side(e)).collect();
-    let many = rows.kept().filter(|_| n >= coarse::LEAST_ELEMENTS);
-    let acceleration = match (symmetric::Symmetric::new(&exchange, &transport, &side), many) {
-        (Some(symmetric), _) => Acceleration::Symmetric(symmetric),
-        (None, Some(matrix)) => Acceleration::Coarse(coarse::Coarse::new(scene, &mesh, matrix, &transport)),
-        (None, None) => Acceleration::Balance,
-    };
-    let (irradiance, convergence) =
-        solve::solve(&exchange, &transport, &acceleration, &incident, Some(ones), tolerance)?;
+    let acceleration = system.acceleration(scene, &mesh);
+    let (irradiance, convergence) = system.solve(&acceleration, &incident, tolerance)?;
     // The system's inverse has no negative entry: what is below zero is what is left of the residual.
     let irradiance: Vec<Rgb> = irradiance.into_iter().map(|h| h.max(Rgb::ZERO)).collect();
     let reflected = transport.reflect(&irradiance);
@@ -176,8 +159,8 @@ pub fn solve(
         particles: if found.is_some() { Some(&particles) } else { None },
     };
     let replicas = uncertainty::Replicas::new(
-        &exchange,
-        &transport,
+        exchange,
+        transport,
         &acceleration,
         &irradiance,
         &by_source,
@@ -199,7 +182,7 @@ pub fn solve(
     let mapped = part(&|s| s.particles);
     let indirect: Vec<Rgb> = (0..n).map(|e| reflected[e] - direct[e] - image[e] - mapped[e]).collect();
     let nodes = Nodes::new(scene, &mesh);
-    let field = |values: &[Rgb]| Field::new(&mesh, &nodes, &open, values);
+    let field = |values: &[Rgb]| Field::new(&mesh, &nodes, open, values);
     let has_caustic = chain.iter().any(|c| c.max_element() > 0.0);
     let radiosity: Vec<Rgb> = emitted.iter().zip(&reflected).map(|(e, r)| *e + *r).collect();
     Ok(Solution {
@@ -208,14 +191,14 @@ pub fn solve(
             &mesh,
             rows,
             emitters,
-            &transport,
+            transport,
             &emitted,
             &reflected,
             &irradiance,
             &replicas,
         ),
-        standard_error: replicas.by_element(scene, &mesh, &transport, &open),
-        objects: replicas.by_object(scene, &mesh, &transport, &radiosity, &open),
+        standard_error: replicas.by_element(scene, &mesh, transport, open),
+        objects: replicas.by_object(scene, &mesh, transport, &radiosity, open),
         radiosity,
         reflected: field(&reflected),
         indirect: field(&indirect),
@@ -245,15 +228,6 @@ pub fn solve_irradiance(
     let sums = matrix.multiply(&vec![Rgb::ONE; matrix.len()]);
     let exchange = exchange::Exchange::new(rows, &sums);
     solve::solve(&exchange, transport, &Acceleration::Balance, incident, None, tolerance)
-}
-
-/// Whether errors of reciprocity would be amplified: some element loses little of the light that it gathers.
-///
-/// Reciprocity takes rows that are kept and count rays, without specular chains; with diffuse transmission the system would not be
-/// symmetric. `ones` is what the system gives for 1: what each element loses.
-fn wants_reciprocity(scene: &Scene, ones: &[Rgb]) -> bool {
-    let plain = !scene.materials.iter().any(|m| m.is_specular() || m.is_translucent());
-    plain && ones.iter().any(|lost| lost.min_element() < LITTLE_LOSS)
 }
 
 /// Diffuse reflection and transmission at the elements.

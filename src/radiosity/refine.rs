@@ -67,7 +67,7 @@ pub fn element_errors(
         Reads::Indirect => &solution.indirect,
     };
     let sides = mesh.sides();
-    let Importance { area, shown: weight, sent: worth } = importance;
+    let Importance { area, shown: weight, .. } = importance;
     let shown: Vec<Rgb> =
         (0..mesh.len() as u32).map(|e| at_centroid(field, (mesh, &solution.nodes), mesh, e)).collect();
     let sent: Vec<Rgb> = (0..mesh.len()).map(|e| solution.reflected_radiosity(e)).collect();
@@ -83,19 +83,12 @@ pub fn element_errors(
             .collect();
         let mut covered = vec![0.0; coarse.len()];
         parent.iter().zip(area).for_each(|(p, a)| covered[*p] += a);
-        let means = |of: &[Rgb]| {
-            let mut sums = vec![Rgb::ZERO; coarse.len()];
-            for (e, p) in parent.iter().enumerate() {
-                sums[*p] += area[e] * of[e];
-            }
-            let mean = |(sum, area): (&Rgb, &f64)| if *area > 0.0 { *sum / *area } else { Rgb::ZERO };
-            sums.iter().zip(&covered).map(mean).collect::<Vec<Rgb>>()
-        };
-        let (sent_means, worth_means) = (means(&sent), means(worth));
+        let shown_means = means(&parent, (area, &covered), &shown);
+        let sent_wrong = sent_errors(&parent, (area, &covered), &sent, &importance.sent);
         let nodes = Nodes::new(scene, &coarse);
         let open: Vec<f64> =
             covered.iter().enumerate().map(|(p, area)| area / coarse.area(p as u32)).collect();
-        let before = Field::new(&coarse, &nodes, &open, &means(&shown));
+        let before = Field::new(&coarse, &nodes, &open, &shown_means);
         // Sums over the quarters of each coarser cell: of the squares, and of what noise makes of them.
         let mut sums = vec![(0.0, 0.0); coarse.len()];
         for e in (0..mesh.len()).filter(|e| mesh.level(*e as u32) == level) {
@@ -108,8 +101,7 @@ pub fn element_errors(
             errors[e].shown = weight[e] * color::mean(surplus * surplus);
             sums[parent[e]].0 += errors[e].shown;
             sums[parent[e]].1 += weight[e] * if noise.is_finite() { noise } else { 0.0 };
-            let product = (sent[e] - sent_means[parent[e]]) * (worth[e] - worth_means[parent[e]]);
-            errors[e].sent = area[e] * color::mean(product.abs());
+            errors[e].sent = sent_wrong[e];
         }
         for e in (0..mesh.len()).filter(|e| mesh.level(*e as u32) == level) {
             let (square, noise) = sums[parent[e]];
@@ -121,29 +113,42 @@ pub fn element_errors(
     Ok(errors)
 }
 
-/// What the elements of a regular mesh make wrong of the light elsewhere, in relation to that light, as blocks of two by two let expect.
-pub fn sent_errors(solution: &Solution, importance: &Importance) -> Vec<f64> {
-    let mesh = &solution.mesh;
-    let block = |e: u32| {
+/// What the elements of a regular mesh make wrong of the light elsewhere, in relation to that light, as blocks of two by two let
+/// expect.
+pub fn block_errors(solution: &Solution, importance: &Importance) -> Vec<f64> {
+    let (mesh, area) = (&solution.mesh, &importance.area);
+    let mut numbers = HashMap::new();
+    let number = |e: u32| {
         let (face, front, cell) = mesh.place(e);
-        (face, front, mesh.grid(face).lattice.block(cell))
+        let next = numbers.len();
+        *numbers.entry((face, front, mesh.grid(face).lattice.block(cell))).or_insert(next)
     };
-    let Importance { area, sent: worth, .. } = importance;
-    let mut sums: HashMap<_, (f64, Rgb, Rgb)> = HashMap::new();
-    for e in 0..mesh.len() {
-        let sum = sums.entry(block(e as u32)).or_default();
-        sum.0 += area[e];
-        sum.1 += area[e] * solution.reflected_radiosity(e);
-        sum.2 += area[e] * worth[e];
+    let block: Vec<usize> = (0..mesh.len() as u32).map(number).collect();
+    let mut covered = vec![0.0; numbers.len()];
+    block.iter().zip(area).for_each(|(b, a)| covered[*b] += a);
+    let sent: Vec<Rgb> = (0..mesh.len()).map(|e| solution.reflected_radiosity(e)).collect();
+    sent_errors(&block, (area, &covered), &sent, &importance.sent)
+}
+
+/// What elements make wrong of the light elsewhere that send the mean of what their `group` sends: the covariance with what power
+/// sent from each is worth. Groups have the open areas `covered`, elements `area`.
+fn sent_errors(group: &[usize], areas: (&[f64], &[f64]), sent: &[Rgb], worth: &[Rgb]) -> Vec<f64> {
+    let (sent_means, worth_means) = (means(group, areas, sent), means(group, areas, worth));
+    let error = |e: usize| {
+        let product = (sent[e] - sent_means[group[e]]) * (worth[e] - worth_means[group[e]]);
+        areas.0[e] * color::mean(product.abs())
+    };
+    (0..group.len()).map(error).collect()
+}
+
+/// Means over the open areas of groups.
+fn means(group: &[usize], (area, covered): (&[f64], &[f64]), of: &[Rgb]) -> Vec<Rgb> {
+    let mut sums = vec![Rgb::ZERO; covered.len()];
+    for (e, g) in group.iter().enumerate() {
+        sums[*g] += area[e] * of[e];
     }
-    let error = |e: usize| match sums[&block(e as u32)] {
-        (whole, sent, value) if whole > 0.0 => {
-            let product = (solution.reflected_radiosity(e) - sent / whole) * (worth[e] - value / whole);
-            area[e] * color::mean(product.abs())
-        }
-        _ => 0.0,
-    };
-    (0..mesh.len()).map(error).collect()
+    let mean = |(sum, area): (&Rgb, &f64)| if *area > 0.0 { *sum / *area } else { Rgb::ZERO };
+    sums.iter().zip(covered).map(mean).collect()
 }
 
 /// A field of any mesh at the centroid of an element of another.
@@ -165,8 +170,9 @@ pub struct Changes {
 }
 
 impl Changes {
-    /// Changes by the elements' errors; `rest` is the number of times. The sides of a face share its cells.
-    pub fn new(mesh: &Mesh, division: &Division, errors: &[ElementError], rest: f64) -> Changes {
+    /// Changes by the elements' errors; `rest` is the number of times; without `joins` none is joined. The sides of a face share its
+    /// cells.
+    pub fn new(mesh: &Mesh, division: &Division, errors: &[ElementError], rest: f64, joins: bool) -> Changes {
         let mut own: HashMap<(u32, u32), ElementError> = HashMap::new();
         let mut cells: Vec<(ElementError, (u32, u32))> = Vec::new();
         let (mut left, mut finest) = (ElementError::default(), ElementError::default());
@@ -208,7 +214,8 @@ impl Changes {
         let all = |(face, cell): (u32, u32)| -> f64 {
             (cell..cell + 4).filter_map(|c| own.get(&(face, c))).map(part).sum()
         };
-        let mut quarters: Vec<_> = division.quarters().into_iter().map(|at| (all(at), at)).collect();
+        let quarters = if joins { division.quarters() } else { Vec::new() };
+        let mut quarters: Vec<_> = quarters.into_iter().map(|at| (all(at), at)).collect();
         quarters.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let (mut join, mut lost) = (Vec::new(), 0.0);
         for (error, at) in quarters {

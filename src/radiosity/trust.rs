@@ -55,8 +55,8 @@ pub fn warnings(scene: &Scene, solution: &Solution, rows: Rows) -> Vec<String> {
 }
 
 /// Warns where elements that are too large send much light to wrong places; `sent` is what each makes wrong of the light elsewhere, in
-/// relation to that light.
-pub fn too_large(scene: &Scene, solution: &Solution, sent: &[f64]) -> Option<String> {
+/// relation to that light, and `views` whether the light of pictures was counted beside that of all surfaces.
+pub fn too_large(scene: &Scene, solution: &Solution, sent: &[f64], views: bool) -> Option<String> {
     let sum: f64 = sent.iter().sum();
     let mut by_object = vec![0.0; scene.objects.len()];
     for (e, sent) in sent.iter().enumerate() {
@@ -65,8 +65,9 @@ pub fn too_large(scene: &Scene, solution: &Solution, sent: &[f64]) -> Option<Str
     let worst = (0..by_object.len()).max_by(|a, b| by_object[*a].total_cmp(&by_object[*b]))?;
     (sum > MUCH).then(|| {
         format!(
-            "elements are too large for light that changes within them: all light may be off by up to some {:.0} %, most of it by \
-             object \"{}\"; choose a smaller --element-size",
+            "elements are too large for light that changes within them: all light{} may be off by up to some {:.0} %, most of it \
+             by object \"{}\"; choose a smaller --element-size",
+            if views { " and the pictures together" } else { "" },
             100.0 * sum,
             scene.objects[worst]
         )
