@@ -52,7 +52,7 @@ pub fn cell_bits(points: u32) -> [u32; 2] {
 }
 
 /// The upper bits of an integer in units of 2^-32, as a number in [0, 1).
-#[inline]
+#[inline(always)]
 pub fn unit(x: u32) -> f32 {
     f32::from_bits(0x3f80_0000 | x >> 9) - 1.0
 }
@@ -179,7 +179,7 @@ pub fn concentric_disc(u: f64, v: f64) -> DVec2 {
 
 /// [`concentric_disc`] in single precision; the angle stays within 45 degrees, where short polynomials give sine and
 /// cosine to 1e-7.
-#[inline]
+#[inline(always)]
 pub fn concentric_disc_rough(u: f32, v: f32) -> (f32, f32) {
     let (a, b) = (2.0 * u - 1.0, 2.0 * v - 1.0);
     let swap = a.abs() <= b.abs();

@@ -14,7 +14,7 @@ mod sys;
 #[cfg(test)]
 mod tests;
 
-pub use packet::{LANES, RayLanes, RayPacket, ShadowPacket};
+pub use packet::{Hits, LANES, RayLanes, RayPacket, ShadowPacket};
 pub use rate::{Queries, Width};
 pub use ray::{Hit, Ray};
 pub use scene::CommittedScene;

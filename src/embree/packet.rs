@@ -76,6 +76,17 @@ impl RayLanes {
     }
 }
 
+/// What the rays of a packet met.
+#[derive(Debug, Clone, Copy)]
+pub struct Hits {
+    /// Face, `u32::MAX` for a miss and for an inactive lane.
+    pub face: [u32; LANES],
+    /// First coordinate on the face; without meaning where there is none.
+    pub u: [f32; LANES],
+    /// Second coordinate on the face.
+    pub v: [f32; LANES],
+}
+
 /// 16 rays and their nearest hits.
 ///
 /// A query shortens the rays that hit: set a lane again before it is traced again.
@@ -113,7 +124,7 @@ impl RayPacket {
 
     /// Puts endless rays into the lanes whose bit of `active` is set and empties the others: like [`RayPacket::set`] lane
     /// by lane, but at the speed of copying.
-    #[inline]
+    #[inline(always)]
     pub fn fill(&mut self, rays: &RayLanes, active: u16) {
         let query = &mut self.query.ray;
         [query.org_x, query.org_y, query.org_z] = rays.origin;
@@ -144,6 +155,19 @@ impl RayPacket {
     pub fn clear(&mut self) {
         self.valid.0 = [0; LANES];
         self.query.hit.geomID = [MISS; LANES];
+    }
+
+    /// The hits of all lanes.
+    #[inline(always)]
+    pub fn hits(&self) -> Hits {
+        let hit = &self.query.hit;
+        let mut face = [MISS; LANES];
+        for (l, face) in face.iter_mut().enumerate() {
+            let found = self.valid.0[l] != 0 && hit.geomID[l] != MISS;
+            let met = hit.primID[l].wrapping_add(hit.geomID[l].wrapping_mul(self.triangle_count));
+            *face = if found { met } else { MISS };
+        }
+        Hits { face, u: hit.u, v: hit.v }
     }
 
     /// The hit of a lane (0 to 15); `None` for a miss and for an inactive lane.

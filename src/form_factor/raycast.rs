@@ -5,21 +5,24 @@
 //! Owen-scrambled Sobol points in four dimensions; every row has several independent scramblings. Packets hold the same
 //! ray of neighbouring elements (see [`super::source`]).
 
+mod beyond;
+
 use super::gathered::{EmitterIrradiance, EmitterRows, EmitterWork, add_batch};
 use super::immersed::{Immersed, settle};
+use super::landing::{ABSORBED, EMITTER, ESCAPED, SPECULAR, Targets, UNREACHED};
 use super::matrix::{ExchangeMatrix, RowSummary};
 use super::rows::{Block, Builder};
-use super::source::{Lanes, Source, groups, lane, share_packets};
-use super::specular::{Carried, Chains, Link, pass_on};
-use super::tally::Tally;
+use super::source::{Lanes, groups, lane, share_packets};
+use super::specular::Chains;
+use super::tally::{Counts, Tally};
 use crate::color::Rgb;
 use crate::embree::{LANES, RayPacket};
-use crate::emitters::{Emitters, Passage, cosine_density, mis_share};
-use crate::mesh::{Grid, Mesh, NONE, Sides};
+use crate::emitters::Emitters;
+use crate::mesh::{Mesh, NONE, Sides};
 use crate::sampling::{MAX_POINTS, Scramble, ScrambledPoints, SobolTable, seed_of};
-use crate::scene::Scene;
-use crate::visibility::{SurfaceHit, Visibility};
-use glam::{DVec3, Vec3};
+use crate::visibility::Visibility;
+use glam::Vec3;
+use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 
 /// Elements that one task casts: small enough to share the work, large enough to hold a few groups of [`LANES`].
@@ -45,10 +48,6 @@ pub struct Casting<'a> {
     /// Called with the number of elements finished.
     pub progress: &'a (dyn Fn(u64) + Sync),
 }
-
-const EMITTER: u8 = 1;
-const SPECULAR: u8 = 2;
-const UNREACHED: u8 = 4;
 
 /// Casts the rows of every element of a mesh. Returns the matrix and the irradiance that came from the casting's
 /// emitters (dark without any).
@@ -102,34 +101,6 @@ fn collect(caster: Caster, rows: Option<&[bool]>) -> (ExchangeMatrix, EmitterRow
     (matrix, light)
 }
 
-/// All that a hit needs to know of its face, side by side in memory.
-#[derive(Clone)]
-struct Target {
-    normal: Vec3,
-    grid: Grid,
-    /// First element by side, or [`NONE`].
-    first: [u32; 2],
-    kind: [u8; 2],
-}
-
-fn targets(scene: &Scene, mesh: &Mesh, casting: &Casting) -> Vec<Target> {
-    let kind = |k: u32, front: bool| {
-        let material = scene.material(&scene.faces[k as usize]);
-        let emitter = casting.emitters.is_some_and(|(e, _)| !e.are_few() && e.at(k, front).is_some());
-        let specular = casting.specular && material.is_specular() && (front || material.two_sided);
-        // A specular side leads on wherever it is; only a side that would end the ray can prove it covered.
-        let unreached = !specular && casting.reached.is_some_and(|r| !r.contains(k, front));
-        (EMITTER * u8::from(emitter)) | (SPECULAR * u8::from(specular)) | (UNREACHED * u8::from(unreached))
-    };
-    let target = |k: u32| Target {
-        normal: scene.faces[k as usize].normal.as_vec3(),
-        grid: mesh.grid(k).clone(),
-        first: [mesh.first(k, true), mesh.first(k, false)],
-        kind: [kind(k, true), kind(k, false)],
-    };
-    (0..scene.faces.len() as u32).map(target).collect()
-}
-
 /// Casts rows, as often as asked, the same to the bit each time.
 pub struct Caster<'a, 's> {
     visibility: &'a Visibility<'s>,
@@ -139,7 +110,8 @@ pub struct Caster<'a, 's> {
     batches: u32,
     channels: usize,
     chains: Chains<'a, 's>,
-    targets: Vec<Target>,
+    targets: Targets,
+    arch: Arch,
     normals: Vec<Vec3>,
 }
 
@@ -173,9 +145,31 @@ struct Scratch {
     chained: Vec<((u32, u32), u32, [f32; 3])>,
     emitted: Vec<EmitterIrradiance>,
     tally: Tally,
+    /// For few elements.
+    counts: Option<Counts>,
     builder: Builder,
     fates: Vec<Fate>,
-    rays: u64,
+    /// Rays cast.
+    cast: u64,
+}
+
+/// [`Caster::packets`], compiled once for every processor and once for those of x86-64-v3, which do eight numbers at a time. The results
+/// are the same to the bit: nothing is contracted or reordered.
+struct Packets<'p, 'a, 's> {
+    caster: &'p Caster<'a, 's>,
+    scratch: &'p mut Scratch,
+    lanes: &'p Lanes,
+    offset: usize,
+    batch: u32,
+}
+
+impl NullaryFnOnce for Packets<'_, '_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        self.caster.packets(self.scratch, self.lanes, self.offset, self.batch);
+    }
 }
 
 impl<'a, 's> Caster<'a, 's> {
@@ -194,7 +188,8 @@ impl<'a, 's> Caster<'a, 's> {
             batches,
             channels: if coloured { 3 } else { 1 },
             chains: Chains::new(visibility, casting.emitters.map(|e| e.0)),
-            targets: targets(scene, mesh, casting),
+            targets: Targets::new(scene, mesh, casting),
+            arch: Arch::new(),
             normals: scene.faces.iter().map(|f| f.normal.as_vec3()).collect(),
         }
     }
@@ -217,9 +212,7 @@ impl<'a, 's> Caster<'a, 's> {
     /// From now on nothing listens, and emitters are met like any other surface.
     pub(super) fn repeat_quietly(&mut self) {
         (self.casting.progress, self.casting.emitters) = (&|_| (), None);
-        for target in &mut self.targets {
-            target.kind.iter_mut().for_each(|k| *k &= !EMITTER);
-        }
+        self.targets.forget_emitters();
     }
 
     /// Casts every row and keeps no factors: summaries, irradiance from emitters, rays cast.
@@ -274,10 +267,11 @@ impl<'a, 's> Caster<'a, 's> {
             chained: Vec::new(),
             emitted: Vec::new(),
             tally: Tally::new(self.channels),
+            counts: Counts::new(self.mesh.len()),
             // Chains have weights; rays alone are counted.
             builder: Builder::new(!self.casting.specular),
             fates: Vec::new(),
-            rays: 0,
+            cast: 0,
         }
     }
 
@@ -291,7 +285,7 @@ impl<'a, 's> Caster<'a, 's> {
             immersed: Vec::new(),
             rays: 0,
         };
-        scratch.rays = 0;
+        scratch.cast = 0;
         for group in groups(self.mesh, &self.normals, elements.clone()) {
             let wanted = |e: &u32| rows.is_none_or(|r| r[*e as usize]);
             let chosen: Vec<u32> = group.clone().filter(wanted).collect();
@@ -318,15 +312,15 @@ impl<'a, 's> Caster<'a, 's> {
             }
         }
         cast.entries = scratch.builder.finish();
-        cast.rays = scratch.rays;
+        cast.rays = scratch.cast;
         cast
     }
 
     /// Casts the rays of elements of a group, all randomisations, into the buffers.
     fn group(&self, scratch: &mut Scratch, first: u32, elements: &[u32]) {
-        let (n, m, batches) = (self.table.len(), elements.len(), self.batches as usize);
+        let (m, batches) = (elements.len(), self.batches as usize);
         scratch.landed.clear();
-        scratch.landed.resize(n * m * batches, NONE);
+        scratch.landed.resize(self.stride() * m * batches, NONE);
         scratch.chained.clear();
         scratch.emitted.clear();
         scratch.emitted.resize(m * batches, EmitterIrradiance::default());
@@ -342,102 +336,96 @@ impl<'a, 's> Caster<'a, 's> {
             self.table.scramble(&scramble, &mut scratch.points);
             for (k, lanes) in parts.iter_mut().enumerate() {
                 lanes.shift(self.casting.seed, batch, self.table.shared_bits());
-                self.packets(scratch, lanes, k * together, batch);
+                self.arch.dispatch(Packets { caster: self, scratch, lanes, offset: k * together, batch });
             }
         }
         scratch.chained.sort_by_key(|c| c.0);
     }
 
     /// Casts one randomisation of a part of a group, which begins at element `offset` of it.
+    #[inline(always)]
     fn packets(&self, scratch: &mut Scratch, lanes: &Lanes, offset: usize, batch: u32) {
         let (n, m) = (self.table.len(), scratch.fates.len());
-        let landed = (batch as usize * m + offset) * n;
-        scratch.rays += (n * lanes.sources.len()) as u64;
+        let stride = self.stride();
+        let landed = (batch as usize * m + offset) * stride;
+        scratch.cast += (n * lanes.sources.len()) as u64;
         let step = lanes.points_a_packet();
         let whole = lanes.active(step);
+        // By lane: where the element's rays go, its face, and how many of its rays met nothing or were absorbed.
+        let place = |l: usize| lanes.place(l);
+        let own: [usize; LANES] = std::array::from_fn(|l| landed + place(l).0 * stride + place(l).1);
+        let face: [u32; LANES] =
+            std::array::from_fn(|l| lanes.sources.get(place(l).0).map_or(NONE, |s| s.face));
+        let (mut escaped, mut absorbed) = ([0u32; LANES], [0u32; LANES]);
         for base in (0..n).step_by(step) {
             let rays = lanes.rays(&scratch.points, base);
             let active = if n - base >= step { whole } else { lanes.active(n - base) };
             scratch.packet.fill(&rays, active);
             self.visibility.closest16(&mut scratch.packet, true);
-            for l in (0..LANES).filter(|l| active >> l & 1 == 1) {
-                let (k, point) = lanes.place(l);
-                let source = &lanes.sources[k];
-                let fate = &mut scratch.fates[offset + k];
-                let Some(met) = scratch.packet.hit(l) else {
-                    fate.escaped += 1;
-                    continue;
-                };
-                let (origin, direction) = lane(&rays, l);
-                let mut hit = SurfaceHit { face: met.face, u: met.u, v: met.v, front: true };
-                if met.face == source.face {
-                    match self.visibility.closest(origin, direction, source.face) {
-                        Some(next) => hit = next,
-                        None => {
-                            fate.escaped += 1;
-                            continue;
-                        }
-                    }
+            let hits = scratch.packet.hits();
+            let landings = self.targets.landings(&hits, &rays);
+            let mut other = [false; LANES];
+            for l in 0..LANES {
+                let kind = landings.kind[l];
+                escaped[l] += u32::from(kind & ESCAPED != 0);
+                other[l] = (kind & (EMITTER | SPECULAR | UNREACHED) != 0) | (hits.face[l] == face[l]);
+                absorbed[l] += u32::from((kind & ABSORBED != 0) & !other[l]);
+            }
+            if active == u16::MAX && other == [false; LANES] {
+                for (own, column) in own.iter().zip(landings.column) {
+                    scratch.landed[own + base] = column;
                 }
-                let target = &self.targets[hit.face as usize];
-                hit.front = target.normal.dot(direction) < 0.0;
-                let side = usize::from(!hit.front);
-                let kind = target.kind[side];
-                if kind & UNREACHED != 0 {
-                    fate.covered += 1;
-                    continue;
-                }
-                if target.first[side] != NONE {
-                    scratch.landed[landed + k * n + base + point] =
-                        target.first[side] + target.grid.cell(hit.u, hit.v);
-                } else if kind & SPECULAR == 0 {
-                    fate.absorbed += 1;
-                }
-                if kind & (EMITTER | SPECULAR) != 0 {
+                continue;
+            }
+            for l in 0..LANES {
+                if active >> l & 1 == 0 {
+                    escaped[l] -= 1;
+                } else if other[l] {
+                    let (k, point) = place(l);
                     let at = (offset + k, batch, (base + point) as u32);
-                    self.beyond(scratch, source, at, (origin, direction, hit), kind);
+                    self.beyond(scratch, &lanes.sources[k], at, lane(&rays, l), (&hits, l));
+                } else {
+                    scratch.landed[own[l] + base] = landings.column[l];
                 }
             }
         }
+        for l in (0..LANES).filter(|l| place(*l).0 < lanes.sources.len()) {
+            let fate = &mut scratch.fates[offset + place(l).0];
+            fate.escaped += escaped[l];
+            fate.absorbed += absorbed[l];
+        }
     }
 
-    /// A ray that met an emitter or a specular surface; `at` is the place in the group, the randomisation and the point.
-    #[cold]
-    fn beyond(
-        &self,
-        scratch: &mut Scratch,
-        source: &Source,
-        at: (usize, u32, u32),
-        (origin, direction, hit): (Vec3, Vec3, SurfaceHit),
-        kind: u8,
-    ) {
-        let (k, batch, point) = at;
-        let mut emitted = EmitterIrradiance::default();
-        if kind & EMITTER != 0 {
-            self.emitter(source, origin, direction, &hit, &mut emitted);
-        }
-        if kind & SPECULAR != 0 {
-            let seed = seed_of(&[self.casting.seed, source.element, batch]);
-            let ray = (origin, direction, hit);
-            self.chain(scratch, source, (k, batch), ray, (point, seed), &mut emitted);
-        }
-        scratch.emitted[k * self.batches as usize + batch as usize] += emitted;
+    /// Places of one row and randomisation in [`Scratch::landed`]. Were it a power of two, the same ray of the 16 elements of a group
+    /// would fall on the same lines of the processor's first cache.
+    fn stride(&self) -> usize {
+        self.table.len() + LANES
     }
 
     /// Adds up the row of the `k`-th of `m` elements of a group.
     fn row(&self, scratch: &mut Scratch, k: usize, m: usize) -> RowSummary {
         let (n, ones) = (self.table.len(), [1.0f32; 3]);
         for batch in 0..self.batches {
-            let first = (batch as usize * m + k) * n;
-            for &column in scratch.landed[first..first + n].iter().filter(|c| **c != NONE) {
-                scratch.tally.add(column, &ones[..self.channels]);
-            }
+            let first = (batch as usize * m + k) * self.stride();
+            let landed = &scratch.landed[first..first + n];
+            let builder = &mut scratch.builder;
             let place = (k as u32, batch);
             let first = scratch.chained.partition_point(|c| c.0 < place);
-            for (_, column, weight) in scratch.chained[first..].iter().take_while(|c| c.0 == place) {
+            let chained = || scratch.chained[first..].iter().take_while(|c| c.0 == place);
+            if let (Some(counts), None) = (&mut scratch.counts, chained().next()) {
+                counts.count(landed, |column, count| match self.casting.specular {
+                    false => builder.push_count(column, count),
+                    true => builder.push(column, &[count as f32; 3][..self.channels]),
+                });
+                builder.end_batch();
+                continue;
+            }
+            for &column in landed.iter().filter(|c| **c != NONE) {
+                scratch.tally.add(column, &ones[..self.channels]);
+            }
+            for (_, column, weight) in chained() {
                 scratch.tally.add(*column, &weight[..self.channels]);
             }
-            let builder = &mut scratch.builder;
             scratch.tally.drain(|column, weight| builder.push(column, weight));
             builder.end_batch();
         }
@@ -464,94 +452,11 @@ impl<'a, 's> Caster<'a, 's> {
         if fate.inside == 0 {
             return None;
         }
-        let rows = (0..self.batches as usize).map(|batch| (batch * m + k) * n);
+        let rows = (0..self.batches as usize).map(|batch| (batch * m + k) * self.stride());
         let landed = rows.flat_map(|first| &scratch.landed[first..first + n]);
         let mut landed: Vec<u32> = landed.copied().filter(|c| *c != NONE).collect();
         landed.sort_unstable();
         let open = self.rays_per_row() - fate.covered;
         Some(Immersed { element, inside: fate.inside, index2: fate.summary.index2 - 1.0, open, landed })
-    }
-
-    /// A hemisphere ray that met an emitter in a straight line.
-    fn emitter(
-        &self,
-        source: &Source,
-        origin: Vec3,
-        direction: Vec3,
-        hit: &SurfaceHit,
-        emitted: &mut EmitterIrradiance,
-    ) {
-        let length = self.visibility.point(hit).point.distance(origin.as_dvec3());
-        let link = Link {
-            hit: *hit,
-            weight: Rgb::ONE,
-            passage: Passage::Straight,
-            length,
-            direction: direction.as_dvec3(),
-        };
-        self.emission(source, direction.as_dvec3(), &link, emitted);
-    }
-
-    /// Irradiance from an emitter at the end of a path, shared with the emitters' own samples.
-    fn emission(&self, source: &Source, first: DVec3, link: &Link, emitted: &mut EmitterIrradiance) {
-        let Some((emitters, work)) = self.casting.emitters else { return };
-        let Some((radiance, density)) = emitters.at(link.hit.face, link.hit.front) else { return };
-        let rays = f64::from(self.rays_per_row());
-        let share = if link.passage == Passage::Chain {
-            let aimed = work.projection.zip(emitters.side(link.hit.face, link.hit.front));
-            let aimed = aimed.map_or(1.0, |(projection, (side, normal))| {
-                projection.density(side, normal, -link.direction)
-            });
-            1.0 - work.particle_share((density, aimed), self.rays_per_row(), source.area)
-        } else {
-            let normal = self.visibility.scene().faces[link.hit.face as usize].normal;
-            let q = density * link.length * link.length / link.direction.dot(normal).abs();
-            mis_share(rays, cosine_density(first.dot(source.normal)), f64::from(work.samples), q)
-        };
-        emitted.add(link.passage, std::f64::consts::PI * radiance * link.weight * share);
-    }
-
-    fn chain(
-        &self,
-        scratch: &mut Scratch,
-        source: &Source,
-        at: (usize, u32),
-        (origin, direction, hit): (Vec3, Vec3, SurfaceHit),
-        numbers: (u32, u32),
-        emitted: &mut EmitterIrradiance,
-    ) {
-        let scene = self.visibility.scene();
-        let first = direction.as_dvec3();
-        let met = scene.material(&scene.faces[hit.face as usize]);
-        if met.bends() && !hit.front {
-            scratch.fates[at.0].summary.index2 += met.ior * met.ior - 1.0;
-            scratch.fates[at.0].inside += 1;
-        }
-        let mut absorbed = Rgb::ZERO;
-        let place = (at.0 as u32, at.1);
-        let chained = &mut scratch.chained;
-        let end = self.chains.follow(Carried::Radiance, (origin, direction, hit), numbers, |link| {
-            let j = self.mesh.element(link.hit.face, link.hit.front, link.hit.u, link.hit.v);
-            if j != NONE {
-                chained.push((place, j, link.weight.as_vec3().to_array()));
-                let material = scene.material(&scene.faces[link.hit.face as usize]);
-                if !material.is_diffuse() && !material.is_specular() {
-                    // A black emitter has elements: what it absorbs is counted there.
-                    absorbed -= link.weight;
-                }
-            } else {
-                let material = scene.material(&scene.faces[link.hit.face as usize]);
-                if material.is_diffuse() && (link.hit.front || material.two_sided) {
-                    // Diffuse, but without elements there: nothing that was reached lies beyond.
-                    absorbed += link.weight * (Rgb::ONE - pass_on(material));
-                }
-            }
-            self.emission(source, first, link, emitted);
-        });
-        let summary = &mut scratch.fates[at.0].summary;
-        summary.escaped += end.escaped;
-        summary.absorbed += end.absorbed + absorbed;
-        summary.dropped += end.dropped;
-        scratch.rays += u64::from(end.rays);
     }
 }

@@ -48,11 +48,19 @@ impl Builder {
             self.values.extend_from_slice(weight);
             return;
         }
-        let mut count = weight[0] as u32;
-        while count > 0 {
-            let part = count.min(MOST);
-            self.columns.push(column | (part - 1) << COLUMN_BITS);
-            count -= part;
+        self.push_count(column, weight[0] as u32);
+    }
+
+    /// Adds an entry of so many rays where these are counted.
+    #[inline]
+    pub(super) fn push_count(&mut self, column: u32, mut count: u32) {
+        debug_assert!(self.counts);
+        while count > MOST {
+            self.columns.push(column | (MOST - 1) << COLUMN_BITS);
+            count -= MOST;
+        }
+        if count > 0 {
+            self.columns.push(column | (count - 1) << COLUMN_BITS);
         }
     }
 

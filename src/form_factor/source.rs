@@ -148,7 +148,7 @@ impl Lanes {
     }
 
     /// The rays of the points from `first` on.
-    #[inline]
+    #[inline(always)]
     pub(super) fn rays(&self, points: &ScrambledPoints, first: usize) -> RayLanes {
         let mut p = [[0.0f32; LANES]; 4];
         for (d, (lanes, shift)) in p.iter_mut().zip(&self.shift).enumerate() {

@@ -1,6 +1,44 @@
-//! Counts where the rays of one row landed, in time and memory that follow the rays, not the elements.
+//! Counts where the rays of one row landed, in time that follows the rays, not the elements.
 
-/// Sums of weights by column, in the order in which columns were first met: a hash table with open addressing.
+/// Elements up to which each has a counter: these fit the processor's second cache.
+const FEW: usize = 1 << 16;
+
+/// Rays by element, elements in the order in which they were first met: a counter an element, and not a branch.
+pub(super) struct Counts {
+    /// The last one counts rays that met no element.
+    count: Vec<u32>,
+    met: Vec<u32>,
+}
+
+impl Counts {
+    /// None where the elements are too many.
+    pub(super) fn new(elements: usize) -> Option<Counts> {
+        (elements <= FEW).then(|| Counts { count: vec![0; elements + 1], met: Vec::new() })
+    }
+
+    /// Counts rays by the elements that they met, or [`crate::mesh::NONE`], shows each element with its number of rays, and starts anew.
+    pub(super) fn count(&mut self, landed: &[u32], mut each: impl FnMut(u32, u32)) {
+        let none = self.count.len() - 1;
+        self.met.clear();
+        self.met.resize(landed.len() + 1, 0);
+        let mut len = 0;
+        for element in landed {
+            let element = (*element as usize).min(none);
+            self.met[len] = element as u32;
+            len += usize::from(self.count[element] == 0);
+            self.count[element] += 1;
+        }
+        for element in &self.met[..len] {
+            let count = std::mem::take(&mut self.count[*element as usize]);
+            if *element as usize != none {
+                each(*element, count);
+            }
+        }
+    }
+}
+
+/// Sums of weights by column, in the order in which columns were first met: a hash table with open addressing, in memory that follows
+/// the rays.
 pub(super) struct Tally {
     channels: usize,
     /// Index into `columns` plus one, or 0.
@@ -71,7 +109,22 @@ impl Tally {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::NONE;
     use std::collections::BTreeMap;
+
+    #[test]
+    fn both_count_alike() {
+        let landed: Vec<u32> = (0..5000u32).map(|k| if k % 7 == 0 { NONE } else { k * k % 977 }).collect();
+        let (mut counts, mut tally) = (Counts::new(977).expect("few"), Tally::new(1));
+        for round in 0..2 {
+            landed.iter().filter(|c| **c != NONE).for_each(|c| tally.add(*c, &[1.0]));
+            let (mut expected, mut found) = (Vec::new(), Vec::new());
+            tally.drain(|column, weight| expected.push((column, weight[0] as u32)));
+            counts.count(&landed, |column, count| found.push((column, count)));
+            assert_eq!(found, expected, "round {round}");
+        }
+        assert!(Counts::new(FEW + 1).is_none());
+    }
 
     #[test]
     fn sums_by_column_and_starts_anew() {

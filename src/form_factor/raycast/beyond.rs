@@ -1,0 +1,144 @@
+//! Rays that do not end where they first land: what they bring over specular chains, and from emitters.
+
+use super::super::gathered::EmitterIrradiance;
+use super::super::landing::{ABSORBED, EMITTER, SPECULAR, UNREACHED};
+use super::super::source::Source;
+use super::super::specular::{Carried, Link, pass_on};
+use super::{Caster, Scratch};
+use crate::color::Rgb;
+use crate::embree::Hits;
+use crate::emitters::{Passage, cosine_density, mis_share};
+use crate::mesh::NONE;
+use crate::sampling::seed_of;
+use crate::visibility::SurfaceHit;
+use glam::{DVec3, Vec3};
+
+impl Caster<'_, '_> {
+    /// A ray that met its own face, an emitter, a specular surface or a side that no light can reach; `at` is the place in the group,
+    /// the randomisation and the point.
+    #[cold]
+    pub(super) fn beyond(
+        &self,
+        scratch: &mut Scratch,
+        source: &Source,
+        at: (usize, u32, u32),
+        (origin, direction): (Vec3, Vec3),
+        (hits, l): (&Hits, usize),
+    ) {
+        let (k, batch, point) = at;
+        let mut hit = SurfaceHit { face: hits.face[l], u: hits.u[l], v: hits.v[l], front: true };
+        if hit.face == source.face {
+            let Some(next) = self.visibility.closest(origin, direction, source.face) else {
+                scratch.fates[k].escaped += 1;
+                return;
+            };
+            hit = next;
+        }
+        let met = self.targets.landing(hit.face, (hit.u, hit.v), direction);
+        hit.front = met.front;
+        let fate = &mut scratch.fates[k];
+        if met.kind & UNREACHED != 0 {
+            fate.covered += 1;
+            return;
+        }
+        fate.absorbed += u32::from(met.kind & ABSORBED != 0);
+        let row = (batch as usize * scratch.fates.len() + k) * self.stride();
+        scratch.landed[row + point as usize] = met.column;
+        if met.kind & (EMITTER | SPECULAR) == 0 {
+            return;
+        }
+        let mut emitted = EmitterIrradiance::default();
+        if met.kind & EMITTER != 0 {
+            self.emitter(source, origin, direction, &hit, &mut emitted);
+        }
+        if met.kind & SPECULAR != 0 {
+            let seed = seed_of(&[self.casting.seed, source.element, batch]);
+            let ray = (origin, direction, hit);
+            self.chain(scratch, source, (k, batch), ray, (point, seed), &mut emitted);
+        }
+        scratch.emitted[k * self.batches as usize + batch as usize] += emitted;
+    }
+
+    /// A hemisphere ray that met an emitter in a straight line.
+    fn emitter(
+        &self,
+        source: &Source,
+        origin: Vec3,
+        direction: Vec3,
+        hit: &SurfaceHit,
+        emitted: &mut EmitterIrradiance,
+    ) {
+        let length = self.visibility.point(hit).point.distance(origin.as_dvec3());
+        let link = Link {
+            hit: *hit,
+            weight: Rgb::ONE,
+            passage: Passage::Straight,
+            length,
+            direction: direction.as_dvec3(),
+        };
+        self.emission(source, direction.as_dvec3(), &link, emitted);
+    }
+
+    /// Irradiance from an emitter at the end of a path, shared with the emitters' own samples.
+    fn emission(&self, source: &Source, first: DVec3, link: &Link, emitted: &mut EmitterIrradiance) {
+        let Some((emitters, work)) = self.casting.emitters else { return };
+        let Some((radiance, density)) = emitters.at(link.hit.face, link.hit.front) else { return };
+        let rays = f64::from(self.rays_per_row());
+        let share = if link.passage == Passage::Chain {
+            let aimed = work.projection.zip(emitters.side(link.hit.face, link.hit.front));
+            let aimed = aimed.map_or(1.0, |(projection, (side, normal))| {
+                projection.density(side, normal, -link.direction)
+            });
+            1.0 - work.particle_share((density, aimed), self.rays_per_row(), source.area)
+        } else {
+            let normal = self.visibility.scene().faces[link.hit.face as usize].normal;
+            let q = density * link.length * link.length / link.direction.dot(normal).abs();
+            mis_share(rays, cosine_density(first.dot(source.normal)), f64::from(work.samples), q)
+        };
+        emitted.add(link.passage, std::f64::consts::PI * radiance * link.weight * share);
+    }
+
+    fn chain(
+        &self,
+        scratch: &mut Scratch,
+        source: &Source,
+        at: (usize, u32),
+        (origin, direction, hit): (Vec3, Vec3, SurfaceHit),
+        numbers: (u32, u32),
+        emitted: &mut EmitterIrradiance,
+    ) {
+        let scene = self.visibility.scene();
+        let first = direction.as_dvec3();
+        let met = scene.material(&scene.faces[hit.face as usize]);
+        if met.bends() && !hit.front {
+            scratch.fates[at.0].summary.index2 += met.ior * met.ior - 1.0;
+            scratch.fates[at.0].inside += 1;
+        }
+        let mut absorbed = Rgb::ZERO;
+        let place = (at.0 as u32, at.1);
+        let chained = &mut scratch.chained;
+        let end = self.chains.follow(Carried::Radiance, (origin, direction, hit), numbers, |link| {
+            let j = self.mesh.element(link.hit.face, link.hit.front, link.hit.u, link.hit.v);
+            if j != NONE {
+                chained.push((place, j, link.weight.as_vec3().to_array()));
+                let material = scene.material(&scene.faces[link.hit.face as usize]);
+                if !material.is_diffuse() && !material.is_specular() {
+                    // A black emitter has elements: what it absorbs is counted there.
+                    absorbed -= link.weight;
+                }
+            } else {
+                let material = scene.material(&scene.faces[link.hit.face as usize]);
+                if material.is_diffuse() && (link.hit.front || material.two_sided) {
+                    // Diffuse, but without elements there: nothing that was reached lies beyond.
+                    absorbed += link.weight * (Rgb::ONE - pass_on(material));
+                }
+            }
+            self.emission(source, first, link, emitted);
+        });
+        let summary = &mut scratch.fates[at.0].summary;
+        summary.escaped += end.escaped;
+        summary.absorbed += end.absorbed + absorbed;
+        summary.dropped += end.dropped;
+        scratch.cast += u64::from(end.rays);
+    }
+}
