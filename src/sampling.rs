@@ -30,14 +30,14 @@ pub fn sobol(index: u32, set: u32, seed: u32) -> [f64; 4] {
 
 /// The first four dimensions as [`sobol`] has them, in units of 2^-32 (the lower 9 bits are zero): for points that several
 /// estimates share and shift (exclusive or), each by bits of its own.
-#[inline]
+#[inline(always)]
 pub fn sobol_bits(index: u32, seed: u32) -> [u32; 4] {
     // In [1, 2) the fraction's bits are the number's own.
     let [a, b, c, d] = points(index, 0, seed);
     [(a + 1.0).to_bits() << 9, (b + 1.0).to_bits() << 9, (c + 1.0).to_bits() << 9, (d + 1.0).to_bits() << 9]
 }
 
-#[inline]
+#[inline(always)]
 fn points(index: u32, set: u32, seed: u32) -> [f32; 4] {
     let seed = if index < MAX_POINTS { seed } else { seed_of(&[seed, index / MAX_POINTS]) };
     sobol_burley::sample_4d(index % MAX_POINTS, set, seed)

@@ -62,7 +62,7 @@ impl RayLanes {
     }
 
     /// Whether the active lanes, whose directions must have length 1, go nearly the same way: worth Embree's coherent flag.
-    #[inline]
+    #[inline(always)]
     pub fn is_narrow(&self, active: u16) -> bool {
         let is_active = |l: usize| active >> l & 1 == 1;
         let Some(first) = (0..LANES).find(|l| is_active(*l)) else { return true };

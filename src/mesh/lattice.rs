@@ -149,26 +149,27 @@ impl Lattice {
 
     /// Local nodes as in [`Lattice::cell_nodes`] of the cell at (u, v) as in [`Lattice::cell`], and their weights in linear
     /// (triangles; the last one is zero) or bilinear interpolation there.
-    #[inline]
+    #[inline(always)]
     pub fn interpolation(&self, u: f32, v: f32) -> ([u32; 4], [f32; 4]) {
-        let (fu, fv) = (u * self.nu as f32, v * self.nv as f32);
-        let iv = (fv.max(0.0) as u32).min(self.nv - 1);
-        let last = if self.triangle { self.nu - 1 - iv } else { self.nu - 1 };
-        let iu = (fu.max(0.0) as u32).min(last);
+        // As in [`Lattice::cell`].
+        let number = |x: f32| x.max(0.0) as i32;
+        let (nu, nv, triangle) = (self.nu as i32, self.nv as i32, i32::from(self.triangle));
+        let (fu, fv) = (u * nu as f32, v * nv as f32);
+        let iv = number(fv).min(nv - 1);
+        let last = nu - 1 - iv * triangle;
+        let iu = number(fu).min(last);
         let (s, t) = ((fu - iu as f32).clamp(0.0, 1.0), (fv - iv as f32).clamp(0.0, 1.0));
-        if !self.triangle {
-            let k = iv * (self.nu + 1) + iu;
-            let (p, q) = (1.0 - s, 1.0 - t);
-            return ([k, k + 1, k + self.nu + 2, k + self.nu + 1], [p * q, s * q, s * t, p * t]);
-        }
-        let k = self.triangle_node(iu, iv);
-        // The next row begins where this one ends.
-        let c = k + self.nu + 1 - iv;
-        if iu < last && s + t > 1.0 {
-            ([c + 1, c, k + 1, k + 1], [s + t - 1.0, 1.0 - s, 1.0 - t, 0.0])
-        } else {
-            ([k, k + 1, c, c], [1.0 - s - t, s, t, 0.0])
-        }
+        let (p, q) = (1.0 - s, 1.0 - t);
+        // [`Lattice::triangle_node`]; the next row begins where this one ends.
+        let before = iv * triangle;
+        let k = iv * (nu + 1) - before * (before - 1) / 2 + iu;
+        let c = k + nu + 1 - before;
+        let (nodes, weights) = match (self.triangle, (iu < last) & (s + t > 1.0)) {
+            (false, _) => ([k, k + 1, c + 1, c], [p * q, s * q, s * t, p * t]),
+            (true, true) => ([c + 1, c, k + 1, k + 1], [s + t - 1.0, p, q, 0.0]),
+            (true, false) => ([k, k + 1, c, c], [p - t, s, t, 0.0]),
+        };
+        (nodes.map(|k| k as u32), weights)
     }
 
     fn triangle_node(&self, iu: u32, iv: u32) -> u32 {

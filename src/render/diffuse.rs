@@ -17,6 +17,7 @@ use crate::sampling::{cell_bits, concentric_disc_rough, sobol_bits, unit};
 use crate::scene::Material;
 use crate::visibility::{SurfaceHit, SurfacePoint};
 use glam::{DVec3, Vec3};
+use pulp::{Arch, NullaryFnOnce};
 use std::f64::consts::{FRAC_1_PI, PI};
 
 /// A point on a diffuse surface whose light is to be found.
@@ -42,6 +43,23 @@ struct Receiver<'g> {
     sampler: Sampler,
     /// Where its light comes from, as far as that is known.
     guide: Option<&'g Guide>,
+}
+
+/// [`Context::light_from_hemisphere`], compiled for wide registers too, as in pass 1.
+struct FromHemisphere<'r, 'a, 's> {
+    context: &'r Context<'a, 's>,
+    receivers: &'r [Receiver<'r>],
+    shared: Sampler,
+    irradiance: &'r mut [Rgb; LANES],
+}
+
+impl NullaryFnOnce for FromHemisphere<'_, '_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        self.context.light_from_hemisphere(self.receivers, self.shared, self.irradiance);
+    }
 }
 
 impl Context<'_, '_> {
@@ -112,7 +130,8 @@ impl Context<'_, '_> {
         let hemisphere = if gather { self.settings.gather_rays } else { 0 };
         self.light_from_emitters(&receivers, shared, hemisphere, &mut irradiance);
         if gather {
-            self.light_from_hemisphere(&receivers, shared, &mut irradiance);
+            let irradiance = &mut irradiance;
+            Arch::new().dispatch(FromHemisphere { context: self, receivers: &receivers, shared, irradiance });
         }
         let lit = spots.iter().zip(found.iter_mut()).filter(|(s, _)| lit(s));
         lit.zip(irradiance).for_each(|((s, sum), h)| *sum += albedo(s.material) * h);
@@ -173,6 +192,7 @@ impl Context<'_, '_> {
     }
 
     /// Adds irradiance by cosine-weighted rays that read reflected radiosity where they land.
+    #[inline(always)]
     fn light_from_hemisphere(&self, receivers: &[Receiver], shared: Sampler, irradiance: &mut [Rgb; LANES]) {
         let count = self.settings.gather_rays;
         let numbers = Numbers::new(receivers, shared, (2, count), self.settings.spp);
@@ -187,9 +207,15 @@ impl Context<'_, '_> {
             self.cast(active.count_ones());
             packet.fill(&rays, active);
             self.visibility.closest16(&mut packet, rays.is_narrow(active));
+            let hits = packet.hits();
+            let places = self.landings.places(&hits, &rays);
             for lane in numbers.lanes(count - base) {
                 let r = numbers.receiver(lane);
                 let &Receiver { face, origin, normal, sampler, .. } = &receivers[r];
+                if hits.face[lane] != face && hits.face[lane] != u32::MAX && places.kind[lane] == 0 {
+                    sum[r] += f64::from(weights[lane]) * self.interpolated_at(&places, lane);
+                    continue;
+                }
                 let direction = rays.direction(lane);
                 let radiance = match self.visibility.lane(&packet, lane, origin, direction, face) {
                     None => self.scene.environment,
@@ -208,7 +234,7 @@ impl Context<'_, '_> {
     }
 
     /// Points of a packet's lanes moved to where their receivers' light comes from, and what the rays then weigh.
-    #[inline]
+    #[inline(always)]
     fn guided(
         &self,
         receivers: &[Receiver],
@@ -326,7 +352,7 @@ impl Numbers {
     }
 
     /// Three numbers in [0, 1) for each lane, from point `base` of `count` on.
-    #[inline]
+    #[inline(always)]
     fn of(&self, base: u32, count: u32) -> [[f32; LANES]; 3] {
         let mut numbers = [[0.0; LANES]; 3];
         for (k, lanes) in (0..LANES).step_by(self.width).enumerate() {
@@ -368,7 +394,7 @@ impl Bases {
     }
 
     /// Cosine-weighted rays.
-    #[inline]
+    #[inline(always)]
     fn rays(&self, [u, v, _]: &[[f32; LANES]; 3]) -> RayLanes {
         let (mut dx, mut dy, mut dz) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
         for l in 0..LANES {

@@ -65,7 +65,7 @@ impl Axis {
     }
 
     /// The cell of `x`, where `x` goes, and one over the density there.
-    #[inline]
+    #[inline(always)]
     fn warp(&self, x: f32) -> (usize, f32, f32) {
         // The leading bits of x.
         let slot = (1.0 + x).to_bits() >> (23 - SLOTS.ilog2());
@@ -107,7 +107,7 @@ impl Guide {
     }
 
     /// Where the uniform point (u, v) of the square goes, and one over the density there.
-    #[inline]
+    #[inline(always)]
     pub fn warp(&self, u: f32, v: f32) -> ([f32; 2], f32) {
         let (row, u, a) = self.rows.warp(u);
         let (_, v, b) = self.cells[row].warp(v);
