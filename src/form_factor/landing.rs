@@ -28,7 +28,11 @@ struct Target {
 }
 
 /// The faces of a scene, and one more that stands for none.
-pub(super) struct Targets(Vec<Target>, bool);
+pub(super) struct Targets {
+    faces: Vec<Target>,
+    /// Some faces have cells that differ in size.
+    adaptive: bool,
+}
 
 /// Where the rays of a packet landed.
 pub(super) struct Landings {
@@ -75,14 +79,13 @@ impl Targets {
             first: [NONE; 2],
             kind: [ESCAPED; 2],
         };
-        let targets: Vec<Target> = (0..scene.faces.len() as u32).map(target).chain([none]).collect();
-        let adaptive = targets.iter().any(|t| t.grid.is_adaptive());
-        Targets(targets, adaptive)
+        let faces: Vec<Target> = (0..scene.faces.len() as u32).map(target).chain([none]).collect();
+        Targets { adaptive: faces.iter().any(|t| t.grid.is_adaptive()), faces }
     }
 
     /// From now on emitters are met like any other surface.
     pub(super) fn forget_emitters(&mut self) {
-        for target in &mut self.0 {
+        for target in &mut self.faces {
             target.kind.iter_mut().for_each(|k| *k &= !EMITTER);
         }
     }
@@ -90,7 +93,7 @@ impl Targets {
     /// Where a ray landed that came to (u, v) of a face; a face that there is not stands for none.
     #[inline(always)]
     pub(super) fn landing(&self, face: u32, (u, v): (f32, f32), direction: Vec3) -> Landing {
-        let target = &self.0[(face as usize).min(self.0.len() - 1)];
+        let target = &self.faces[(face as usize).min(self.faces.len() - 1)];
         let front = target.normal.dot(direction) < 0.0;
         let side = usize::from(!front);
         let (first, kind) = (target.first[side], target.kind[side]);
@@ -101,11 +104,11 @@ impl Targets {
     /// Where the rays of a packet landed.
     #[inline(always)]
     pub(super) fn landings(&self, hits: &Hits, rays: &RayLanes) -> Landings {
-        let mut face = [&self.0[0]; LANES];
+        let mut face = [&self.faces[0]; LANES];
         let (mut normal, mut first, mut kind) = ([[0.0; LANES]; 3], [[NONE; LANES]; 2], [[0; LANES]; 2]);
         let (mut nu, mut nv, mut triangle) = ([0; LANES], [0; LANES], [false; LANES]);
         for l in 0..LANES {
-            let t = &self.0[(hits.face[l] as usize).min(self.0.len() - 1)];
+            let t = &self.faces[(hits.face[l] as usize).min(self.faces.len() - 1)];
             face[l] = t;
             (normal[0][l], normal[1][l], normal[2][l]) = t.normal.into();
             (first[0][l], first[1][l]) = t.first.into();
@@ -122,7 +125,7 @@ impl Targets {
             let lattice = Lattice { nu: nu[l], nv: nv[l], triangle: triangle[l] };
             found.column[l] = lattice.cell(hits.u[l], hits.v[l]);
         }
-        if self.1 {
+        if self.adaptive {
             found.column.iter_mut().zip(face).for_each(|(c, face)| *c = face.grid.holding(*c));
         }
         for l in 0..LANES {

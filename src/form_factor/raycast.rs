@@ -153,8 +153,8 @@ struct Scratch {
     cast: u64,
 }
 
-/// [`Caster::packets`], compiled once for every processor and once for those of x86-64-v3, which do eight numbers at a time. The results
-/// are the same to the bit: nothing is contracted or reordered.
+/// [`Caster::packets`], compiled once for every processor and once for those of x86-64-v3, which do eight numbers at a time. The
+/// results are the same to the bit: nothing is contracted or reordered.
 struct Packets<'p, 'a, 's> {
     caster: &'p Caster<'a, 's>,
     scratch: &'p mut Scratch,
@@ -396,8 +396,8 @@ impl<'a, 's> Caster<'a, 's> {
         }
     }
 
-    /// Places of one row and randomisation in [`Scratch::landed`]. Were it a power of two, the same ray of the 16 elements of a group
-    /// would fall on the same lines of the processor's first cache.
+    /// Places of one row and randomisation in [`Scratch::landed`]. Were it a power of two, the same ray of the 16 elements of a
+    /// group would fall on the same lines of the processor's first cache.
     fn stride(&self) -> usize {
         self.table.len() + LANES
     }

@@ -32,7 +32,7 @@ struct Landing {
     kind: [u8; 2],
 }
 
-/// Where 16 rays landed that went on from no specular surface and met no emitter.
+/// Where 16 rays landed, and how to interpolate there.
 pub(super) struct Places {
     /// First node of the side, or [`NONE`].
     first: [u32; LANES],
