@@ -1,9 +1,10 @@
-//! Where rays land: the element and the kind of surface of each hit, for 16 at a time and without branches.
+//! Where rays land: the element and the kind of surface of each hit.
 
 use super::raycast::Casting;
 use crate::embree::{Hits, LANES, RayLanes};
-use crate::mesh::{Grid, Lattice, Mesh, NONE};
+use crate::mesh::{Mesh, NONE};
 use crate::scene::Scene;
+use crate::visibility::{FaceSides, SideTable};
 use glam::Vec3;
 
 /// An emitter whose light is gathered on the way.
@@ -17,22 +18,8 @@ pub(super) const ABSORBED: u8 = 8;
 /// No face at all.
 pub(super) const ESCAPED: u8 = 16;
 
-/// All that a hit needs to know of its face, side by side in memory.
-#[derive(Clone)]
-struct Target {
-    normal: Vec3,
-    grid: Grid,
-    /// First element by side, or [`NONE`].
-    first: [u32; 2],
-    kind: [u8; 2],
-}
-
-/// The faces of a scene, and one more that stands for none.
-pub(super) struct Targets {
-    faces: Vec<Target>,
-    /// Some faces have cells that differ in size.
-    adaptive: bool,
-}
+/// The faces of a scene, their cells numbered as elements.
+pub(super) struct Targets(SideTable);
 
 /// Where the rays of a packet landed.
 pub(super) struct Landings {
@@ -67,73 +54,36 @@ impl Targets {
                 | (UNREACHED * u8::from(unreached))
                 | (ABSORBED * u8::from(absorbed))
         };
-        let target = |k: u32| Target {
+        let sides = |k: u32| FaceSides {
             normal: scene.faces[k as usize].normal.as_vec3(),
             grid: mesh.grid(k).clone(),
             first: [mesh.first(k, true), mesh.first(k, false)],
             kind: [kind(k, true), kind(k, false)],
         };
-        let none = Target {
-            normal: Vec3::ZERO,
-            grid: Lattice { nu: 1, nv: 1, triangle: false }.into(),
-            first: [NONE; 2],
-            kind: [ESCAPED; 2],
-        };
-        let faces: Vec<Target> = (0..scene.faces.len() as u32).map(target).chain([none]).collect();
-        Targets { adaptive: faces.iter().any(|t| t.grid.is_adaptive()), faces }
+        Targets(SideTable::new((0..scene.faces.len() as u32).map(sides), ESCAPED))
     }
 
     /// From now on emitters are met like any other surface.
     pub(super) fn forget_emitters(&mut self) {
-        for target in &mut self.faces {
-            target.kind.iter_mut().for_each(|k| *k &= !EMITTER);
-        }
+        self.0.without(EMITTER);
     }
 
     /// Where a ray landed that came to (u, v) of a face; a face that there is not stands for none.
     #[inline(always)]
     pub(super) fn landing(&self, face: u32, (u, v): (f32, f32), direction: Vec3) -> Landing {
-        let target = &self.faces[(face as usize).min(self.faces.len() - 1)];
-        let front = target.normal.dot(direction) < 0.0;
-        let side = usize::from(!front);
-        let (first, kind) = (target.first[side], target.kind[side]);
-        let column = first.wrapping_add(target.grid.cell(u, v));
-        Landing { column: if first == NONE { NONE } else { column }, kind, front }
+        let face = self.0.face(face);
+        let side = face.met(direction);
+        let column = match face.first[side] {
+            NONE => NONE,
+            first => first + face.grid.cell(u, v),
+        };
+        Landing { column, kind: face.kind[side], front: side == 0 }
     }
 
     /// Where the rays of a packet landed.
     #[inline(always)]
     pub(super) fn landings(&self, hits: &Hits, rays: &RayLanes) -> Landings {
-        let mut face = [&self.faces[0]; LANES];
-        let (mut normal, mut first, mut kind) = ([[0.0; LANES]; 3], [[NONE; LANES]; 2], [[0; LANES]; 2]);
-        let (mut nu, mut nv, mut triangle) = ([0; LANES], [0; LANES], [false; LANES]);
-        for l in 0..LANES {
-            let t = &self.faces[(hits.face[l] as usize).min(self.faces.len() - 1)];
-            face[l] = t;
-            (normal[0][l], normal[1][l], normal[2][l]) = t.normal.into();
-            (first[0][l], first[1][l]) = t.first.into();
-            (kind[0][l], kind[1][l]) = t.kind.into();
-            (nu[l], nv[l], triangle[l]) = (t.grid.lattice.nu, t.grid.lattice.nv, t.grid.lattice.triangle);
-        }
-        let mut found = Landings { column: [0; LANES], kind: [0; LANES] };
-        let mut side = [false; LANES];
-        for l in 0..LANES {
-            let [x, y, z] = [0, 1, 2].map(|c| normal[c][l] * rays.direction[c][l]);
-            side[l] = x + y + z < 0.0;
-        }
-        for l in 0..LANES {
-            let lattice = Lattice { nu: nu[l], nv: nv[l], triangle: triangle[l] };
-            found.column[l] = lattice.cell(hits.u[l], hits.v[l]);
-        }
-        if self.adaptive {
-            found.column.iter_mut().zip(face).for_each(|(c, face)| *c = face.grid.holding(*c));
-        }
-        for l in 0..LANES {
-            let first = if side[l] { first[0][l] } else { first[1][l] };
-            let column = first.wrapping_add(found.column[l]);
-            found.column[l] = if first == NONE { NONE } else { column };
-            found.kind[l] = if side[l] { kind[0][l] } else { kind[1][l] };
-        }
-        found
+        let sides = self.0.lanes(hits, rays);
+        Landings { column: sides.cells(hits), kind: sides.kind }
     }
 }

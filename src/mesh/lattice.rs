@@ -48,16 +48,26 @@ impl Lattice {
     /// The cell at (u, v), both in [0, 1], u + v <= 1 on a triangle; rounding outside is clamped.
     #[inline(always)]
     pub fn cell(&self, u: f32, v: f32) -> u32 {
-        // No branches and nothing but 32-bit numbers: of many rays at a time, all lanes do the same. Numbers of cells fit 27 bits.
+        let (nu, triangle) = (self.nu as i32, i32::from(self.triangle));
+        let (iu, iv, beyond, _) = self.square(u, v);
+        let inverted = i32::from(beyond) & triangle;
+        (iv * (nu + (nu - iv) * triangle) + iu * (1 + triangle) + inverted) as u32
+    }
+
+    /// Column and row of the square at (u, v), whether the point is beyond its diagonal and so would be on a triangle's inverted
+    /// cell, and where in it, both in \[0, 1\].
+    ///
+    /// No branches and nothing but 32-bit numbers: of many rays at a time, all lanes do the same. Numbers of cells fit 27 bits.
+    #[inline(always)]
+    fn square(&self, u: f32, v: f32) -> (i32, i32, bool, (f32, f32)) {
         let number = |x: f32| x.max(0.0) as i32;
-        let (nu, nv, triangle) = (self.nu as i32, self.nv as i32, i32::from(self.triangle));
+        let (nu, nv) = (self.nu as i32, self.nv as i32);
         let (fu, fv) = (u * nu as f32, v * nv as f32);
         let iv = number(fv).min(nv - 1);
-        let iu = number(fu);
-        let last = nu - 1 - iv * triangle;
-        let inverted = (fu - iu as f32) + (fv - iv as f32) > 1.0;
-        let inverted = i32::from(inverted & (iu < last)) & triangle;
-        (iv * (nu + (nu - iv) * triangle) + iu.min(last) * (1 + triangle) + inverted) as u32
+        let last = nu - 1 - iv * i32::from(self.triangle);
+        let iu = number(fu).min(last);
+        let (s, t) = ((fu - iu as f32).clamp(0.0, 1.0), (fv - iv as f32).clamp(0.0, 1.0));
+        (iu, iv, (iu < last) & (s + t > 1.0), (s, t))
     }
 
     /// First cell of row `iv` of a triangle: each row has two cells less than the one before.
@@ -151,20 +161,14 @@ impl Lattice {
     /// (triangles; the last one is zero) or bilinear interpolation there.
     #[inline(always)]
     pub fn interpolation(&self, u: f32, v: f32) -> ([u32; 4], [f32; 4]) {
-        // As in [`Lattice::cell`].
-        let number = |x: f32| x.max(0.0) as i32;
-        let (nu, nv, triangle) = (self.nu as i32, self.nv as i32, i32::from(self.triangle));
-        let (fu, fv) = (u * nu as f32, v * nv as f32);
-        let iv = number(fv).min(nv - 1);
-        let last = nu - 1 - iv * triangle;
-        let iu = number(fu).min(last);
-        let (s, t) = ((fu - iu as f32).clamp(0.0, 1.0), (fv - iv as f32).clamp(0.0, 1.0));
+        let nu = self.nu as i32;
+        let (iu, iv, beyond, (s, t)) = self.square(u, v);
         let (p, q) = (1.0 - s, 1.0 - t);
         // [`Lattice::triangle_node`]; the next row begins where this one ends.
-        let before = iv * triangle;
+        let before = iv * i32::from(self.triangle);
         let k = iv * (nu + 1) - before * (before - 1) / 2 + iu;
         let c = k + nu + 1 - before;
-        let (nodes, weights) = match (self.triangle, (iu < last) & (s + t > 1.0)) {
+        let (nodes, weights) = match (self.triangle, beyond) {
             (false, _) => ([k, k + 1, c + 1, c], [p * q, s * q, s * t, p * t]),
             (true, true) => ([c + 1, c, k + 1, k + 1], [s + t - 1.0, p, q, 0.0]),
             (true, false) => ([k, k + 1, c, c], [p - t, s, t, 0.0]),

@@ -17,7 +17,7 @@ use crate::sampling::{cell_bits, concentric_disc_rough, sobol_bits, unit};
 use crate::scene::Material;
 use crate::visibility::{SurfaceHit, SurfacePoint};
 use glam::{DVec3, Vec3};
-use pulp::{Arch, NullaryFnOnce};
+use pulp::NullaryFnOnce;
 use std::f64::consts::{FRAC_1_PI, PI};
 
 /// A point on a diffuse surface whose light is to be found.
@@ -131,7 +131,7 @@ impl Context<'_, '_> {
         self.light_from_emitters(&receivers, shared, hemisphere, &mut irradiance);
         if gather {
             let irradiance = &mut irradiance;
-            Arch::new().dispatch(FromHemisphere { context: self, receivers: &receivers, shared, irradiance });
+            self.arch.dispatch(FromHemisphere { context: self, receivers: &receivers, shared, irradiance });
         }
         let lit = spots.iter().zip(found.iter_mut()).filter(|(s, _)| lit(s));
         lit.zip(irradiance).for_each(|((s, sum), h)| *sum += albedo(s.material) * h);
@@ -408,5 +408,60 @@ impl Bases {
             }
         }
         RayLanes { origin: self.origin, direction }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Estimator, Renderer, Settings};
+    use super::*;
+    use crate::adaptive;
+    use crate::embree::Device;
+    use crate::emitters::Emitters;
+    use crate::pipeline::{self, Pass1};
+    use crate::radiosity::Reads;
+    use crate::scene::{Camera, load};
+    use crate::visibility::Visibility;
+    use pulp::Arch;
+    use std::path::Path;
+
+    /// Gathered images do not depend on what the processor can do: with glass and without, on uniform and adaptive elements.
+    #[test]
+    fn wide_registers_change_no_pixel() {
+        let device = Device::new(1).expect("Embree");
+        for (name, adaptive) in [("cornell", false), ("cornell", true), ("glass_ball", false)] {
+            let path = format!("{}/scenes/{name}/{name}.toml", env!("CARGO_MANIFEST_DIR"));
+            let scene = load(Path::new(&path)).expect("a scene of the project");
+            let visibility = Visibility::new(&device, &scene).expect("a tree");
+            let emitters = Emitters::new(&visibility);
+            let camera = Camera { size: [24, 18], ..scene.camera(None).expect("a camera").clone() };
+            let few = Pass1 { rays: 64, element_size: Some(0.1), ..Pass1::of(&scene) };
+            let (cameras, stages) = (std::slice::from_ref(&camera), &mut Vec::new());
+            let pass1 = if adaptive {
+                let reads = (&few, Reads::Indirect);
+                adaptive::solve(None, &visibility, &emitters, cameras, reads, &|_| (), stages).map(|s| s.0)
+            } else {
+                pipeline::solve(&visibility, &emitters, cameras, &few, &|_| (), stages)
+            };
+            let pass1 = pass1.expect("a solution");
+            let settings = Settings {
+                method: Method::TwoPass(Quality::Gather),
+                spp: 2,
+                gather_rays: 12,
+                emitter_samples: 1,
+                estimator: Estimator::Lobe(1),
+                seed: 3,
+            };
+            let solution = Some(&pass1.solution);
+            let mut renderer = Renderer::new(&visibility, &emitters, solution, camera.size, &settings);
+            let pixels = |renderer: &Renderer| {
+                let image = renderer.render(&camera, &|_| ()).0;
+                (0..24 * 18).map(|k| image.get(k % 24, k / 24).map(f32::to_bits)).collect::<Vec<_>>()
+            };
+            let wide = pixels(&renderer);
+            renderer.arch = Arch::Scalar;
+            assert!(wide.iter().filter(|p| **p != [0; 3]).count() > 200, "{name}");
+            assert!(pixels(&renderer) == wide, "{name}, adaptive {adaptive}");
+        }
     }
 }

@@ -20,6 +20,7 @@ use block::BLOCK;
 use glam::{DVec2, DVec3, Vec3};
 use guide::Guides;
 use landing::Landings;
+use pulp::Arch;
 use rayon::prelude::*;
 use std::cell::Cell;
 
@@ -114,6 +115,7 @@ pub(crate) struct Context<'a, 's> {
     landings: &'a Landings,
     guides: Option<&'a Guides>,
     settings: Settings,
+    arch: Arch,
     /// Work so far, `dropped` summed over all samples.
     work: Cell<Traced>,
 }
@@ -290,6 +292,8 @@ pub struct Renderer<'a, 's> {
     settings: Settings,
     /// Settings of pixels that see a mirror or glass first; none where they are the same.
     finer: Option<Settings>,
+    /// What the processor can do.
+    arch: Arch,
 }
 
 impl<'a, 's> Renderer<'a, 's> {
@@ -318,7 +322,16 @@ impl<'a, 's> Renderer<'a, 's> {
         let landings = Landings::new(scene, emitters, solution);
         let finer = looks.then_some(finer);
         let guides = solution.and_then(|s| Guides::new(scene, s, size, settings));
-        Renderer { visibility, emitters, solution, landings, guides, settings: *settings, finer }
+        Renderer {
+            visibility,
+            emitters,
+            solution,
+            landings,
+            guides,
+            settings: *settings,
+            finer,
+            arch: Arch::new(),
+        }
     }
 
     /// [`render`], from one camera: what it gives does not depend on what was rendered before.
@@ -343,7 +356,7 @@ impl<'a, 's> Renderer<'a, 's> {
         guides: Option<&Guides>,
         pixels: &[(u32, u32)],
     ) -> (Vec<Rgb>, Traced) {
-        let &Renderer { visibility, emitters, solution, ref landings, settings, .. } = self;
+        let &Renderer { visibility, emitters, solution, ref landings, settings, arch, .. } = self;
         let scene = visibility.scene();
         let context = |settings| Context {
             scene,
@@ -353,6 +366,7 @@ impl<'a, 's> Renderer<'a, 's> {
             landings,
             guides,
             settings,
+            arch,
             work: Cell::default(),
         };
         let coarse = context(settings);

@@ -3,10 +3,12 @@
 
 mod offset;
 mod reach;
+mod sides;
 #[cfg(test)]
 mod tests;
 
 pub use reach::reachable_sides;
+pub use sides::{FaceSides, SideTable};
 
 use crate::Result;
 use crate::embree::{CommittedScene, Device, Ray, RayPacket, ShadowPacket};
