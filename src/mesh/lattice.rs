@@ -55,7 +55,7 @@ impl Lattice {
     }
 
     /// Column and row of the square at (u, v), whether the point is beyond its diagonal and so would be on a triangle's inverted
-    /// cell, and where in it, both in \[0, 1\].
+    /// cell, and where in it.
     ///
     /// No branches and nothing but 32-bit numbers: of many rays at a time, all lanes do the same. Numbers of cells fit 27 bits.
     #[inline(always)]
@@ -66,7 +66,7 @@ impl Lattice {
         let iv = number(fv).min(nv - 1);
         let last = nu - 1 - iv * i32::from(self.triangle);
         let iu = number(fu).min(last);
-        let (s, t) = ((fu - iu as f32).clamp(0.0, 1.0), (fv - iv as f32).clamp(0.0, 1.0));
+        let (s, t) = (fu - iu as f32, fv - iv as f32);
         (iu, iv, (iu < last) & (s + t > 1.0), (s, t))
     }
 
@@ -163,6 +163,7 @@ impl Lattice {
     pub fn interpolation(&self, u: f32, v: f32) -> ([u32; 4], [f32; 4]) {
         let nu = self.nu as i32;
         let (iu, iv, beyond, (s, t)) = self.square(u, v);
+        let (s, t) = (s.clamp(0.0, 1.0), t.clamp(0.0, 1.0));
         let (p, q) = (1.0 - s, 1.0 - t);
         // [`Lattice::triangle_node`]; the next row begins where this one ends.
         let before = iv * i32::from(self.triangle);

@@ -107,16 +107,13 @@ impl SideLanes<'_> {
     /// Numbers of the cells that the rays landed on, counted from [`SideLanes::first`]; [`NONE`] where the side has none.
     #[inline(always)]
     pub fn cells(&self, hits: &Hits) -> [u32; LANES] {
-        let mut cell = [0; LANES];
-        for l in 0..LANES {
-            cell[l] = self.lattice(l).cell(hits.u[l], hits.v[l]);
-        }
+        let mut cell: [u32; LANES] = std::array::from_fn(|l| self.lattice(l).cell(hits.u[l], hits.v[l]));
         if let Some(grids) = self.grids {
             cell.iter_mut().zip(grids).for_each(|(c, grid)| *c = grid.holding(*c));
         }
-        for l in 0..LANES {
-            let number = self.first[l].wrapping_add(cell[l]);
-            cell[l] = if self.first[l] == NONE { NONE } else { number };
+        for (cell, first) in cell.iter_mut().zip(self.first) {
+            let number = first.wrapping_add(*cell);
+            *cell = if first == NONE { NONE } else { number };
         }
         cell
     }
