@@ -1,6 +1,7 @@
 //! Convex bodies made of surfaces: what hides elements from each other.
 
 use super::merge::{Surfaces, edge_key};
+use super::ring::Cover;
 use super::shaft::blocks_all;
 use crate::form_factor::analytic::Polygon;
 use glam::DVec3;
@@ -47,9 +48,50 @@ pub struct View {
     sides: Vec<(DVec3, DVec3)>,
     /// The point lies within the body.
     pub within: bool,
+    /// It is the same from all points of a cell.
+    pub common: bool,
+    /// Wherever in the cell the point is, each of its planes cuts the polygon that is looked at.
+    pub cuts: bool,
 }
 
 impl View {
+    /// Leaves out the planes of a common view that cut nothing off a polygon, wherever in the cell the point is, and says how
+    /// much of the polygon the body covers as far as that is the same for all points.
+    ///
+    /// Which side of a plane through an edge and the point a corner lies on is the sign of a tetrahedron's volume. That is affine
+    /// in the point, so the cell's corners tell.
+    pub fn narrow(&mut self, cell: &[DVec3], polygon: &[DVec3]) -> Cover {
+        let (mut apart, mut cuts) = (false, true);
+        self.outline.retain(|[p, q]| {
+            let (mut out, mut within) = (true, true);
+            for corner in polygon {
+                let normal = (*q - *corner).cross(*p - *corner);
+                let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+                for viewer in cell {
+                    let side = (*viewer - *corner).dot(normal);
+                    low = if side < low { side } else { low };
+                    high = if side > high { side } else { high };
+                }
+                out &= low >= 0.0;
+                within &= high <= 0.0;
+                cuts &= low >= 0.0 || high <= 0.0;
+            }
+            apart |= out;
+            !within
+        });
+        self.sides.retain(|(point, outward)| {
+            let side = |c: &DVec3| (*c - *point).dot(*outward);
+            apart |= polygon.iter().all(|c| side(c) >= 0.0);
+            polygon.iter().any(|c| side(c) > 0.0)
+        });
+        self.cuts = cuts;
+        match (apart, self.outline.is_empty() && self.sides.is_empty()) {
+            (true, _) => Cover::None,
+            (_, true) => Cover::Whole,
+            _ => Cover::Part(u64::MAX),
+        }
+    }
+
     /// The shadow as half-spaces: each a plane's point and outward normal (of any length).
     #[inline]
     pub fn shadow(&self, viewer: DVec3, shadow: &mut Vec<(DVec3, DVec3)>) {
@@ -311,27 +353,29 @@ impl Body {
     pub fn view(&self, viewer: DVec3, reached: &PlaneSet, before: &mut PlaneSet, view: &mut View) {
         self.before(viewer, before);
         self.set_view(reached, before, view);
+        (view.common, view.cuts) = (false, false);
     }
 
-    /// The same for all points of a polygon at once; false where not all of them see the same sides of the body.
+    /// The same for all points of a polygon at once, where all of them see the same sides of the body.
     pub fn common_view(
         &self,
         viewers: &Polygon,
         reached: &PlaneSet,
         before: &mut [PlaneSet; 2],
         view: &mut View,
-    ) -> bool {
+    ) {
         let [first, other] = before;
-        let [corner, others @ ..] = viewers.corners() else { return false };
+        let [corner, others @ ..] = viewers.corners() else { return };
         self.before(*corner, first);
         for corner in others {
             self.before(*corner, other);
             if other.0 != first.0 {
-                return false;
+                (view.common, view.cuts) = (false, false);
+                return;
             }
         }
         self.set_view(reached, first, view);
-        true
+        (view.common, view.cuts) = (true, false);
     }
 
     fn set_view(&self, reached: &PlaneSet, before: &PlaneSet, view: &mut View) {

@@ -222,8 +222,9 @@ impl Cells {
             let (seen, whole) = self.looker.look(point, cell.normal, target);
             self.seen.push((point, seen));
             if whole > 0.0 {
-                low = low.min(seen / whole);
-                high = high.max(seen / whole);
+                let share = seen / whole;
+                low = if share < low { share } else { low };
+                high = if share > high { share } else { high };
             }
             DVec2::new(seen, whole)
         };
@@ -239,7 +240,8 @@ impl Cells {
             edges += third * (along + next + look(0.5 * (c[j] + c[j + 1])));
             along = next;
         }
-        let mixed = if low == 0.0 || high == 1.0 { (high - low).max(0.0) } else { 0.0 };
+        let begins = !self.looker.is_even() && (low == 0.0 || high == 1.0);
+        let mixed = if begins { (high - low).max(0.0) } else { 0.0 };
         // Of any third degree, the rule of the edges misses -9 times as much as the inner one.
         let both = 0.9 * inner + 0.1 * edges;
         let off = inner - edges;

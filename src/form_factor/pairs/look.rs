@@ -4,7 +4,7 @@ use super::body::{Body, PlaneSet, View};
 use super::ring::{Cover, Planes, Ring, Rings, behind, clip, cover, moment};
 use crate::form_factor::analytic::{Polygon, lambert};
 use glam::DVec3;
-use std::f64::consts::PI;
+use std::f64::consts::{FRAC_1_PI, PI};
 
 /// Distance, in radii of the polygon, beyond which rules of second degree are within 1e-3 of Lambert's formula.
 const SMALL: f64 = 4.0;
@@ -45,7 +45,8 @@ pub struct Looker {
     active: Vec<usize>,
     /// What these show to the whole cell, or to the point alone where that differs within the cell.
     views: Vec<View>,
-    shared: Vec<bool>,
+    /// Some body hides the polygon from all of the cell.
+    covered: bool,
     before: [PlaneSet; 2],
     shadow: Planes,
     /// Parts that bodies hide, alone or together, to be added up with these signs.
@@ -89,22 +90,41 @@ impl Looker {
     /// Goes to a cell, where later looks come from.
     pub fn enter(&mut self, cell: &Polygon, target: &Target) {
         self.active.clear();
-        self.active.extend((0..target.bodies.len()).filter(|k| !target.sees_past(cell, *k)));
-        self.shared.clear();
-        if self.views.len() < self.active.len() {
-            self.views.resize_with(self.active.len(), View::default);
+        self.covered = false;
+        for k in (0..target.bodies.len()).filter(|k| !target.sees_past(cell, *k)) {
+            let body = target.bodies[k];
+            if self.views.len() == self.active.len() {
+                self.views.push(View::default());
+            }
+            let view = &mut self.views[self.active.len()];
+            body.common_view(cell, &target.reached[k], &mut self.before, view);
+            let cover = match (view.common, view.within, body.is_solid()) {
+                (false, ..) => Cover::Part(u64::MAX),
+                (true, false, _) => view.narrow(cell.corners(), target.polygon.corners()),
+                (true, true, true) => Cover::Whole,
+                (true, true, false) => Cover::None,
+            };
+            match cover {
+                Cover::None => {}
+                Cover::Whole => {
+                    self.covered = true;
+                    return;
+                }
+                Cover::Part(_) => self.active.push(k),
+            }
         }
-        for (&k, view) in self.active.iter().zip(&mut self.views) {
-            let (body, reached) = (target.bodies[k], &target.reached[k]);
-            self.shared.push(body.common_view(cell, reached, &mut self.before, view));
-        }
+    }
+
+    /// Nothing begins or ends within the cell: what is hidden from its points differs by size alone, as far as single bodies go.
+    pub fn is_even(&self) -> bool {
+        self.covered || self.active.len() < 2 && self.views[..self.active.len()].iter().all(|v| v.cuts)
     }
 
     /// Finds the shadow of an active body; false where the point lies within the body.
     #[inline]
     fn find_shadow(&mut self, viewer: DVec3, active: usize, target: &Target) -> bool {
         let view = &mut self.views[active];
-        if !self.shared[active] {
+        if !view.common {
             let k = self.active[active];
             target.bodies[k].view(viewer, &target.reached[k], &mut self.before[0], view);
         }
@@ -115,7 +135,7 @@ impl Looker {
     /// Factor from a differential area to what it sees of the polygon, and to the whole polygon.
     pub fn look(&mut self, viewer: DVec3, normal: DVec3, target: &Target) -> (f64, f64) {
         let polygon = target.polygon;
-        let point = |area: f64, at: DVec3| area * kernel(viewer, normal, at, polygon.normal) / PI;
+        let point = |area: f64, at: DVec3| area * kernel(viewer, normal, at, polygon.normal) * FRAC_1_PI;
         let whole = match target.size {
             Size::Point => point(target.moment.0, target.moment.1),
             Size::Small => midpoints(viewer, normal, polygon.corners(), polygon.normal),
@@ -124,6 +144,9 @@ impl Looker {
         if whole <= 0.0 {
             // On the plane of the polygon, where both touch.
             return (0.0, 0.0);
+        }
+        if self.covered {
+            return (0.0, whole);
         }
         self.hidden.clear();
         self.signs.clear();
@@ -134,7 +157,11 @@ impl Looker {
                 }
                 continue;
             }
-            match cover(polygon.corners(), &self.shadow) {
+            let cover = match self.views[active].cuts {
+                true => Cover::Part(u64::MAX),
+                false => cover(polygon.corners(), &self.shadow),
+            };
+            match cover {
                 Cover::None => {}
                 Cover::Whole => return (0.0, whole),
                 Cover::Part(crossed) => {

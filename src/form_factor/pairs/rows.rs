@@ -210,8 +210,11 @@ impl Shared<'_, '_> {
             let body = &self.bodies[*k as usize];
             let past =
                 scratch.past[*k as usize].get_or_insert_with(|| body.between(&self.elements[i].polygon));
-            let free = past.iter().any(|(o, n)| pb.corners().iter().all(|c| (*c - *o).dot(*n) >= -self.eps));
-            if free {
+            let before =
+                |(o, n): &(DVec3, DVec3)| pb.corners().iter().all(|c| (*c - *o).dot(*n) >= -self.eps);
+            if let Some(k) = past.iter().position(before) {
+                // What parts this element from the body will part its neighbours.
+                past.swap(0, k);
                 continue;
             }
             if between.len() == MOST_BODIES {
