@@ -66,10 +66,10 @@ impl Configuration {
     /// The methods that are compared here.
     pub fn methods(&self) -> Vec<Method> {
         let mut methods = vec![Method::Random, Method::Sobol, Method::Reciprocity];
-        methods.extend(match self.answer {
-            Answer::Exact => Some(Method::Exact),
-            Answer::Pairs { .. } => Some(Method::Pairs),
-            Answer::Rows { .. } => None,
+        methods.extend_from_slice(match self.answer {
+            Answer::Exact => &[Method::Exact],
+            Answer::Pairs { .. } => &[Method::Automatic, Method::Pairs],
+            Answer::Rows { .. } => &[],
         });
         methods.extend([Method::Centre, Method::Grid(8), Method::Grid(32), Method::Turned(8)]);
         methods

@@ -1,6 +1,6 @@
 //! Who is faster at equal error, and why: computed from the records.
 
-use super::{DIRECTIONS, Method, RMS, TIME, series_name};
+use super::{DIRECTIONS, Method, RADIOSITY, RMS, TIME, series_name};
 use crate::bench::record::{Chart, Figure, PARAMETER, Subject, Unit};
 use crate::bench::{Context, Measurements, threads_in_words};
 use crate::report::text;
@@ -8,7 +8,7 @@ use crate::report::text;
 /// RMS errors at which methods are compared.
 const LEVELS: [f64; 11] = [3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5];
 const CUBES: [Method; 4] = [Method::Centre, Method::Grid(8), Method::Grid(32), Method::Turned(8)];
-const RAYS: [Method; 3] = [Method::Sobol, Method::Reciprocity, Method::Pairs];
+const RAYS: [Method; 4] = [Method::Sobol, Method::Reciprocity, Method::Automatic, Method::Pairs];
 
 const HEMISPHERE: &str = "hemisphere rays";
 const BEST_RAYS: &str = "best ray-cast";
@@ -16,7 +16,10 @@ const BEST_CUBES: &str = "best hemi-cube";
 const SPEED: &str = "hemisphere rays: times as fast as the best hemi-cube";
 const BEST_SPEED: &str = "best ray-cast: times as fast as the best hemi-cube";
 
-/// What a method needs for an RMS error.
+/// RMS error of reflected radiosity at which methods are compared.
+const LIGHT_LEVEL: f64 = 0.01;
+
+/// What a method needs for an error.
 #[derive(Debug, Clone, PartialEq)]
 struct Need {
     series: String,
@@ -27,18 +30,18 @@ struct Need {
     at_once: bool,
 }
 
-/// What a method needs for an RMS error of `level` or less; none where its sweep does not get there.
-fn need(subject: &Subject, method: Method, threads: usize, level: f64) -> Option<Need> {
+/// What a method needs for this error or less; none where its sweep does not get there.
+fn need(subject: &Subject, method: Method, threads: usize, error: (&str, f64)) -> Option<Need> {
     let name = series_name(method, threads);
     let series = subject.series.iter().find(|s| s.name == name)?;
-    let (seconds, at_once) = series.where_reached(TIME, (RMS, level), TIME)?;
-    let directions = series.where_reached(TIME, (RMS, level), DIRECTIONS).map(|d| d.0);
+    let (seconds, at_once) = series.where_reached(TIME, error, TIME)?;
+    let directions = series.where_reached(TIME, error, DIRECTIONS).map(|d| d.0);
     Some(Need { series: method.name(), seconds, directions, at_once })
 }
 
 /// The fastest of several methods.
-fn best(subject: &Subject, methods: &[Method], threads: usize, level: f64) -> Option<Need> {
-    let all = methods.iter().filter_map(|m| need(subject, *m, threads, level));
+fn best(subject: &Subject, methods: &[Method], threads: usize, error: (&str, f64)) -> Option<Need> {
+    let all = methods.iter().filter_map(|m| need(subject, *m, threads, error));
     all.min_by(|a, b| a.seconds.total_cmp(&b.seconds))
 }
 
@@ -71,9 +74,9 @@ fn meetings(subject: &Subject, threads: usize) -> Vec<Meeting> {
     let meeting = |level| {
         Some(Meeting {
             level,
-            rays: need(subject, Method::Sobol, threads, level),
-            best: best(subject, &RAYS, threads, level)?,
-            cubes: best(subject, &CUBES, threads, level)?,
+            rays: need(subject, Method::Sobol, threads, (RMS, level)),
+            best: best(subject, &RAYS, threads, (RMS, level))?,
+            cubes: best(subject, &CUBES, threads, (RMS, level))?,
         })
     };
     LEVELS.into_iter().filter_map(meeting).filter(|m| !(m.best.at_once && m.cubes.at_once)).collect()
@@ -215,6 +218,18 @@ fn sentences(subject: &Subject, found: &[Meeting], threads: usize, faces: &str) 
             last.cubes.series
         ));
     }
+    let light = |methods: &[Method]| best(subject, methods, threads, (RADIOSITY, LIGHT_LEVEL));
+    if let (Some(rays), Some(cubes)) = (light(&RAYS), light(&CUBES)) {
+        said.push(format!(
+            "For reflected radiosity within {} (RMS) of the answer's, \"{}\" takes {}, {} the best hemi-cube ({}, {}).",
+            percent(LIGHT_LEVEL),
+            rays.series,
+            seconds(&rays),
+            speed(rays.seconds, cubes.seconds),
+            cubes.series,
+            seconds(&cubes)
+        ));
+    }
     let exact = series_name(Method::Exact, threads);
     let exact = subject.series.iter().find(|s| s.name == exact).and_then(|s| s.points.first());
     if let Some((time, error)) = exact.and_then(|p| Some((p.summary(TIME)?, p.summary(RMS)?))) {
@@ -282,16 +297,16 @@ mod tests {
         let mut s = Subject::new("s", "t, 6 faces", "");
         // A slow point that is worse than a fast one counts for nothing.
         add(&mut s, Method::Sobol, &[(0.1, 0.4, 16.0), (0.3, 0.9, 8.0), (10.0, 0.004, 1600.0)]);
-        let at = |level| need(&s, Method::Sobol, 2, level);
+        let at = |level| need(&s, Method::Sobol, 2, (RMS, level));
         // Halfway between the errors 0.4 and 0.004 on logarithmic axes is halfway between the times.
         let n = at(0.04).expect("reached");
         assert!((n.seconds - 1.0).abs() < 1e-12, "{n:?}");
         assert!((n.directions.expect("has") - 160.0).abs() < 1e-9);
         assert!((at(0.5).expect("at once").seconds - 0.1).abs() < 1e-15);
         assert_eq!(at(0.001), None);
-        assert_eq!(need(&s, Method::Centre, 2, 0.1), None);
+        assert_eq!(need(&s, Method::Centre, 2, (RMS, 0.1)), None);
         s.series[0].points[2].unresolved = true;
-        assert_eq!(need(&s, Method::Sobol, 2, 0.04), None);
+        assert_eq!(need(&s, Method::Sobol, 2, (RMS, 0.04)), None);
     }
 
     /// The sentences follow from the numbers: turned round, they say the opposite.

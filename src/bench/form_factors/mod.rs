@@ -2,6 +2,7 @@
 
 mod cases;
 mod compare;
+mod light;
 mod truth;
 
 use super::record::{Chart, PARAMETER, Subject, Unit};
@@ -9,18 +10,20 @@ use super::{Context, Measurements, pool, thread_counts, threads_in_words};
 use crate::Result;
 use crate::form_factor::pairs::{PairFactors, PairWork};
 use crate::form_factor::{
-    Casting, Enforce, Estimates, ExchangeMatrix, Factors, Found, HemicubeSettings, cast, cast_random,
-    cast_rows, correct, hemicube,
+    Casting, Enforce, Estimates, ExchangeMatrix, Factors, Found, HemicubeSettings, Request, cast,
+    cast_random, cast_rows, correct, estimate, hemicube,
 };
 use crate::pipeline::BATCHES;
 use crate::visibility::Visibility;
 use cases::{Answer, Configuration, configurations};
+use light::Light;
 use std::time::Instant;
 use truth::{Truth, closure, pair_work, reciprocity};
 
 const TIME: &str = "time";
 const RMS: &str = "RMS error";
 const LARGEST: &str = "largest error";
+const RADIOSITY: &str = "RMS error of reflected radiosity";
 const CLOSURE: &str = "closure residual";
 const RECIPROCITY: &str = "reciprocity residual";
 const DIRECTIONS: &str = "directions an element";
@@ -36,6 +39,8 @@ enum Method {
     Sobol,
     /// The same, both directions' estimates combined.
     Reciprocity,
+    /// Hemisphere rays, and pair by pair what these are bad at: what [`estimate`] makes of a number of rays.
+    Automatic,
     /// Exact unoccluded factors times visible fractions, until an error is met.
     Pairs,
     /// Closed forms.
@@ -54,6 +59,7 @@ impl Method {
             Method::Random => "rays, random".into(),
             Method::Sobol => "rays, Sobol".into(),
             Method::Reciprocity => "rays, Sobol, reciprocity".into(),
+            Method::Automatic => "rays, automatic".into(),
             Method::Pairs => "rays, pair by pair".into(),
             Method::Exact => "exact".into(),
             Method::Centre => "hemi-cube, centre".into(),
@@ -65,7 +71,7 @@ impl Method {
     /// What its settings vary.
     fn parameter(self) -> &'static str {
         match self {
-            Method::Random | Method::Sobol | Method::Reciprocity => "rays an element",
+            Method::Random | Method::Sobol | Method::Reciprocity | Method::Automatic => "rays an element",
             Method::Pairs | Method::Exact => "relative accuracy asked for, 10^-",
             Method::Centre => "pixels along an edge",
             Method::Grid(_) | Method::Turned(_) => "hemi-cubes along an edge",
@@ -75,7 +81,9 @@ impl Method {
     /// Its settings from fast to precise, as far as anyone would go.
     fn settings(self) -> Vec<u32> {
         match self {
-            Method::Random | Method::Sobol | Method::Reciprocity => (2..=11).map(|k| 1 << (2 * k)).collect(),
+            Method::Random | Method::Sobol | Method::Reciprocity | Method::Automatic => {
+                (2..=11).map(|k| 1 << (2 * k)).collect()
+            }
             Method::Pairs => vec![1, 2, 3, 4],
             Method::Exact => vec![3, 5, 7, 9],
             Method::Centre => (2..=11).map(|k| 1 << k).collect(),
@@ -91,7 +99,7 @@ impl Method {
             Method::Random | Method::Sobol | Method::Reciprocity => Some(f64::from(setting)),
             Method::Centre => Some(cube(setting)),
             Method::Grid(pixels) | Method::Turned(pixels) => Some(cube(pixels) * f64::from(setting).powi(2)),
-            Method::Pairs | Method::Exact => None,
+            Method::Automatic | Method::Pairs | Method::Exact => None,
         }
     }
 
@@ -148,6 +156,19 @@ impl Method {
                 correct(&mut factors, Enforce::Reciprocity)?;
                 Ok((factors, start.elapsed().as_secs_f64()))
             }
+            Method::Automatic => {
+                let request = Request {
+                    rays: setting,
+                    error: None,
+                    floor: FLOOR,
+                    by_object: false,
+                    seed,
+                    progress: &|_| (),
+                };
+                let found = estimate(&tree()?, mesh, &request);
+                let seconds = start.elapsed().as_secs_f64();
+                Ok((Factors::of_found(scene, mesh, &found, (false, 0..n), 0.0), seconds))
+            }
             Method::Pairs => {
                 let error = Some(10f64.powi(-(setting as i32)));
                 let work = pair_work(seed);
@@ -182,6 +203,7 @@ fn sweep(context: &Context, configuration: &Configuration) -> Result<Subject> {
     (context.observer)(&format!("form-factors: {}, {n} elements, answer", configuration.name));
     let truth = Truth::new(&visibility, configuration)?;
     drop(visibility);
+    let light = Light::new(configuration, &truth);
     let title = format!("{}: {n} elements, {} faces", configuration.title, configuration.scene.faces.len());
     let mut subject = Subject::new(configuration.name, title, configuration.about);
     let many = matches!(configuration.answer, Answer::Rows { .. });
@@ -210,7 +232,7 @@ fn sweep(context: &Context, configuration: &Configuration) -> Result<Subject> {
                     record(
                         &mut subject,
                         configuration,
-                        &truth,
+                        (&truth, light.as_ref()),
                         (method, setting, threads),
                         &factors,
                         seconds,
@@ -225,7 +247,7 @@ fn sweep(context: &Context, configuration: &Configuration) -> Result<Subject> {
         configuration.longest,
         threads_in_words(context.threads())
     ));
-    charts(&mut subject, configuration, &threads);
+    charts(&mut subject, configuration, &threads, light.is_some());
     Ok(subject)
 }
 
@@ -233,7 +255,7 @@ fn sweep(context: &Context, configuration: &Configuration) -> Result<Subject> {
 fn record(
     subject: &mut Subject,
     configuration: &Configuration,
-    truth: &Truth,
+    (truth, light): (&Truth, Option<&Light>),
     (method, setting, threads): (Method, u32, usize),
     factors: &Factors,
     seconds: f64,
@@ -246,8 +268,11 @@ fn record(
     if point.get(RMS).is_none() || !method.is_fixed() {
         point.push(RMS, Unit::Share, distance.rms);
         point.push(LARGEST, Unit::Share, distance.largest);
+        if let Some(light) = light {
+            point.push(RADIOSITY, Unit::Share, light.error(factors));
+        }
         // What lies outside is no result of these; where nothing does, their rows must close by themselves.
-        if !matches!(method, Method::Pairs | Method::Exact) {
+        if !matches!(method, Method::Automatic | Method::Pairs | Method::Exact) {
             point.push(CLOSURE, Unit::Plain, closure(factors));
         } else if configuration.closed {
             let sums = (0..factors.nodes()).map(|i| (factors.row(i).1.iter().sum::<f64>() - 1.0).abs());
@@ -266,7 +291,7 @@ fn series_name(method: Method, threads: usize) -> String {
     format!("{}, {}", method.name(), threads_in_words(threads))
 }
 
-fn charts(subject: &mut Subject, configuration: &Configuration, threads: &[usize]) {
+fn charts(subject: &mut Subject, configuration: &Configuration, threads: &[usize], has_light: bool) {
     for &n in threads.iter().rev() {
         let names: Vec<String> = configuration.methods().into_iter().map(|m| series_name(m, n)).collect();
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
@@ -277,9 +302,17 @@ fn charts(subject: &mut Subject, configuration: &Configuration, threads: &[usize
                  further left is better.",
             ),
             (LARGEST, "The worst pair of elements, as a share of the largest factor."),
+            (
+                RADIOSITY,
+                "Light of the scene's own emitters and reflectances, by these factors: the error of what surfaces reflect, root mean \
+                 square over their area, as a share of its own root mean square.",
+            ),
         ] {
-            // The worst pair is the same on any number of threads.
-            if quantity == LARGEST && n != threads[threads.len() - 1] {
+            // The worst pair and the light are the same on any number of threads.
+            if quantity != RMS && n != threads[threads.len() - 1] {
+                continue;
+            }
+            if quantity == RADIOSITY && !has_light {
                 continue;
             }
             let title = format!("{quantity} over time, {}", threads_in_words(n));

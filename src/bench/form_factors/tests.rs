@@ -161,3 +161,27 @@ fn a_sweep_holds_all_quantities() {
         assert!(all.subjects[0].notes[0].contains("of 1 configurations"));
     });
 }
+
+/// Light by accurate factors is the answer's, up to the answer's own noise (0.5 % in a quick run); by rays it errs as noise does, and
+/// less where the lamp's factors are found pair by pair; with a tenth of every factor missing it is dark by more than that.
+#[test]
+fn light_errs_with_the_factors() {
+    with_context(|context| {
+        let (configuration, truth, coarse) = found(context, "cornell", Method::Sobol, 256);
+        let light = Light::new(&configuration, &truth).expect("the box has a lamp");
+        let by = |method, setting| light.error(&found(context, "cornell", method, setting).2);
+        let (fine, automatic, exact) =
+            (by(Method::Sobol, 4096), by(Method::Automatic, 256), by(Method::Pairs, 3));
+        let coarse = light.error(&coarse);
+        assert!(
+            exact < 0.01 && automatic < 0.2 * coarse && fine < 0.3 * coarse && coarse < 0.5,
+            "{coarse} {fine} {automatic} {exact}"
+        );
+        let mut less = found(context, "cornell", Method::Pairs, 3).2;
+        less.values.iter_mut().for_each(|v| *v *= 0.9);
+        let dark = light.error(&less);
+        assert!((0.1..0.5).contains(&dark), "{dark}");
+        let (squares, truth, _) = found(context, "parallel", Method::Exact, 3);
+        assert!(Light::new(&squares, &truth).is_none());
+    });
+}

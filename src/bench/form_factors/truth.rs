@@ -152,6 +152,11 @@ impl Truth {
         Distance { rms: (shown / self.square).sqrt(), largest: largest / self.largest, unresolved }
     }
 
+    /// The rows that are known: element and factors to all elements.
+    pub fn rows(&self) -> &[(usize, Vec<f64>)] {
+        &self.rows
+    }
+
     /// Sum of the right factors of a row, where it is known, by element.
     #[cfg(test)]
     pub fn sum(&self, row: usize) -> Option<f64> {
