@@ -11,7 +11,7 @@ use crate::emitters::Emitters;
 use crate::image::{self, Image, WriteOptions};
 use crate::memory::Factors;
 use crate::pipeline::{self, Pass1, Pass1Result, Stage};
-use crate::radiosity::{Reads, Solution};
+use crate::radiosity::{Directional, Kept, Reads, Solution};
 use crate::render::{Estimator, Method, Quality, Renderer, Settings, cut_off, render_directional};
 use crate::report::{KeptReport, Pass1Report, Report, Versions, command_line};
 use crate::scene::{Camera, Scene, load};
@@ -28,14 +28,12 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     let observer = &|e| progress.tell(e);
     let mut stages: Vec<Stage> = Vec::new();
     let scene = pipeline::stage("load", 0, observer, &mut stages, || (load(&args.scene), 0))?;
-    let mut warnings = scene.warnings.clone();
     scene.warnings.iter().for_each(|w| progress.warn(w));
     let cameras = cameras(args, &scene)?;
     let kept = args.solution.as_ref().map(|path| {
         pipeline::stage("solution", 0, observer, &mut stages, || (Solution::read_npz(&scene, path), 0))
     });
     let kept = kept.transpose()?;
-    let mut settings = settings(args, &scene);
 
     // Beside pass 1, which does not need it.
     let _preparing = image::prepare();
@@ -44,143 +42,226 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         pipeline::stage("build", 0, observer, &mut stages, || (Visibility::new(&device, &scene), 0))?;
     let emitters = Emitters::new(&visibility);
     pipeline::require_light(&scene, &emitters)?;
-    let mut pass1_settings = pass1(&args.pass1, &scene, args.common.seed);
-    // Not the camera at hand: pass 1 is the same whichever view is rendered, and as `solve` has it.
-    let view_points = scene.view_points();
-    let advance = |n| progress.tell(pipeline::Event::Advance(n));
-    let mut pass1 = None;
-    let mut directional = None;
-    let mut adapted = None;
-    let (mut rendered, mut accuracy) = (None, None);
-    let mut dropped = None;
-    if let Some(error) = args.error {
-        let view = View {
-            visibility: &visibility,
-            emitters: &emitters,
-            view_points: &view_points,
-            camera: &cameras[0].1,
-            settings,
-            limit: args.memory.limit(),
-        };
-        let found = render_to_error(&view, error, args.common.seed, observer, &mut stages)?;
-        tell_factors(&progress, &found.pass1);
-        found.warnings.iter().for_each(|w| progress.warn(w));
-        warnings.extend(found.warnings);
-        tell_accuracy(&progress, &found.achieved);
-        settings.spp = found.achieved.spp;
-        pass1_settings = found.settings;
-        pass1 = Some(found.pass1);
-        dropped = Some(found.dropped);
-        (rendered, accuracy) = (Some(found.image), Some(found.achieved));
-    } else if args.method == MethodArg::Directional {
-        let what = (&pass1_settings, args.directions);
-        let solution =
-            pipeline::solve_directional(&visibility, &emitters, &view_points, what, observer, &mut stages)?;
-        progress.line(&format!(
-            "{} elements, {} directional values, {:.1} MiB, {} iterations",
-            solution.elements(),
-            solution.directional_values(),
-            solution.bytes / f64::from(1 << 20),
-            solution.iterations
-        ));
-        directional = Some(solution);
-    } else if let Some(kept) = &kept {
-        let views: Vec<&Camera> = cameras.iter().map(|c| &c.1).collect();
-        let unseen = pipeline::without_elements(&visibility, &kept.solution.mesh, &views);
-        unseen.iter().for_each(|w| progress.warn(w));
-        warnings.extend(unseen);
-    } else if matches!(settings.method, Method::TwoPass(_) | Method::Radiosity) {
-        let reads = reads(&args.adaptive, &scene, settings.method);
-        let scene = (&visibility, &emitters, &view_points[..]);
-        let (result, a) =
-            pass1_of(scene, (&pass1_settings, reads), args.memory.limit(), observer, &mut stages)?;
-        adapted = a;
-        tell_factors(&progress, &result);
-        result.warnings.iter().for_each(|w| progress.warn(w));
-        warnings.extend(result.warnings.iter().cloned());
-        pass1 = Some(result);
-    }
-    let solution = kept.as_ref().map(|k| &k.solution).or(pass1.as_ref().map(|p| &p.solution));
-    let renderer =
-        LazyLock::new(|| Renderer::new(&visibility, &emitters, solution, cameras[0].1.size, &settings));
-    let picture = |camera: &Camera| match &directional {
-        Some(solution) => {
-            let samples = (settings.spp, settings.seed);
-            render_directional(&visibility, &emitters, solution, camera, samples, &advance)
-        }
-        None => renderer.render(camera, &advance),
-    };
-
-    image::ready()?;
     let versions = Versions::new(&device);
-    let options = WriteOptions { exposure: args.exposure, metadata: metadata(args, &versions, &settings) };
-    let pixels: u64 = cameras.iter().map(|(_, c)| u64::from(c.size[0]) * u64::from(c.size[1])).sum();
-    let mut frames = Vec::new();
-    if args.frames.is_some() {
-        frames = pipeline::stage("trace", pixels, observer, &mut stages, || {
-            let trace = |frame: u32| {
-                let k = (frame - cameras[0].0) as usize;
-                progress.tell(pipeline::Event::Item(k as u64 + 1, cameras.len() as u64));
-                picture(&cameras[k].1)
-            };
-            let write = |frame: u32, image: &Image| {
-                patterns.iter().try_for_each(|p| image::write(image, &p.file(frame), &options))
-            };
-            let times = render_frames(cameras.iter().map(|c| c.0), trace, write);
-            let rays = times.iter().flatten().map(|t| t.rays).sum();
-            (times, rays)
-        })?;
-        dropped = frames.iter().map(|f| f.dropped).reduce(f64::max);
-        tell_frames(&progress, &frames, stages.last());
-    } else {
-        let image = match rendered {
-            Some(image) => image,
-            None => pipeline::stage("trace", pixels, observer, &mut stages, || {
-                let (image, traced) = picture(&cameras[0].1);
-                dropped = Some(traced.dropped);
-                (image, traced.rays)
-            }),
-        };
-        pipeline::stage("write", 0, observer, &mut stages, || {
-            (args.output.iter().try_for_each(|output| image::write(&image, output, &options)), 0)
-        })?;
-    }
-    if let Some(w) = dropped.and_then(cut_off) {
+    let mut warnings = scene.warnings.clone();
+    let ready = Ready {
+        args,
+        visibility: &visibility,
+        emitters: &emitters,
+        cameras: &cameras,
+        kept: kept.as_ref(),
+        progress: &progress,
+    };
+    let first = ready.before_the_view(&mut stages, &mut warnings)?;
+    let pictures = ready.pictures(&first, &patterns, &versions, &mut stages)?;
+    if let Some(w) = pictures.dropped.and_then(cut_off) {
         progress.warn(&w);
         warnings.push(w);
     }
     let mut report = Report::new(&scene, versions, args.common.seed, stages, warnings);
-    report.elements = directional.map_or(solution.map_or(0, |s| s.mesh.len()), |d| d.elements());
-    report.dropped = dropped;
-    report.frames = frames;
-    report.accuracy = accuracy;
-    if let Some(result) = &pass1 {
-        let mut pass1 = Pass1Report::new(&pass1_settings, result);
-        pass1.adaptive = adapted;
-        tell_adapted(&progress, &pass1);
-        progress.line(&format!(
-            "{} elements of at most {:.4} m, standard error {:.2} %, energy residual {:.2} %",
-            pass1.elements,
-            pass1.element_size,
-            100.0 * pass1.standard_errors.relative_rms,
-            100.0 * pass1.energy.residual.abs().max_element()
-        ));
-        report.pass1 = Some(pass1);
-    }
-    if let (Some(kept), Some(path)) = (&kept, &args.solution) {
-        let file = path.display().to_string();
-        let mesh = &kept.solution.mesh;
-        progress.line(&format!(
-            "{} elements of at most {:.4} m, solved before",
-            mesh.len(),
-            mesh.element_size
-        ));
-        report.solution = Some(KeptReport { file, about: kept.about.clone() });
-    }
+    report.dropped = pictures.dropped;
+    report.frames = pictures.frames;
+    ready.complete(&mut report, first);
     if let Some(path) = &args.report {
         report.write(path)?;
     }
     Ok(())
+}
+
+/// All that there is before any light is found.
+struct Ready<'a, 's> {
+    args: &'a RenderArgs,
+    visibility: &'a Visibility<'s>,
+    emitters: &'a Emitters,
+    /// With the numbers of their frames.
+    cameras: &'a [(u32, Camera)],
+    /// A solution that is used again.
+    kept: Option<&'a Kept>,
+    progress: &'a Progress,
+}
+
+/// What is found before a camera looks.
+struct First {
+    /// Settings of the pictures.
+    settings: Settings,
+    /// Pass 1 and its settings, where the method has one that was not kept.
+    pass1: Option<(Pass1Result, Pass1)>,
+    adapted: Option<Adapted>,
+    directional: Option<Directional>,
+    /// Where an error was asked for, the picture, the light that was dropped on the way, and how wrong it is.
+    rendered: Option<(Image, f64, Achieved)>,
+}
+
+/// What became of the pictures.
+#[derive(Default)]
+struct Pictures {
+    frames: Vec<FrameTime>,
+    dropped: Option<f64>,
+}
+
+impl<'s> Ready<'_, 's> {
+    fn scene(&self) -> &'s Scene {
+        self.visibility.scene()
+    }
+
+    /// Pass 1, or what the method has in its place.
+    fn before_the_view(&self, stages: &mut Vec<Stage>, warnings: &mut Vec<String>) -> Result<First> {
+        let &Ready { args, visibility, emitters, cameras, kept, progress } = self;
+        let observer = &|e| progress.tell(e);
+        let scene = self.scene();
+        // Not the camera at hand: pass 1 is the same whichever view is rendered, and as `solve` has it.
+        let view_points = scene.view_points();
+        let pass1_settings = pass1(&args.pass1, scene, args.common.seed);
+        let settings = settings(args, scene);
+        let mut first = First { settings, pass1: None, adapted: None, directional: None, rendered: None };
+        let mut warn = |found: &[String]| {
+            found.iter().for_each(|w| progress.warn(w));
+            warnings.extend_from_slice(found);
+        };
+        if let Some(error) = args.error {
+            let view = View {
+                visibility,
+                emitters,
+                view_points: &view_points,
+                camera: &cameras[0].1,
+                settings,
+                limit: args.memory.limit(),
+            };
+            let found = render_to_error(&view, error, args.common.seed, observer, stages)?;
+            tell_factors(progress, &found.pass1);
+            warn(&found.warnings);
+            tell_accuracy(progress, &found.achieved);
+            first.settings.spp = found.achieved.spp;
+            first.pass1 = Some((found.pass1, found.settings));
+            first.rendered = Some((found.image, found.dropped, found.achieved));
+        } else if args.method == MethodArg::Directional {
+            let what = (&pass1_settings, args.directions);
+            let solution =
+                pipeline::solve_directional(visibility, emitters, &view_points, what, observer, stages)?;
+            progress.line(&format!(
+                "{} elements, {} directional values, {:.1} MiB, {} iterations",
+                solution.elements(),
+                solution.directional_values(),
+                solution.bytes / f64::from(1 << 20),
+                solution.iterations
+            ));
+            first.directional = Some(solution);
+        } else if let Some(kept) = kept {
+            let views: Vec<&Camera> = cameras.iter().map(|c| &c.1).collect();
+            warn(&pipeline::without_elements(visibility, &kept.solution.mesh, &views));
+        } else if matches!(settings.method, Method::TwoPass(_) | Method::Radiosity) {
+            let reads = reads(&args.adaptive, scene, settings.method);
+            let of = (visibility, emitters, &view_points[..]);
+            let (result, adapted) =
+                pass1_of(of, (&pass1_settings, reads), args.memory.limit(), observer, stages)?;
+            tell_factors(progress, &result);
+            warn(&result.warnings);
+            first.adapted = adapted;
+            first.pass1 = Some((result, pass1_settings));
+        }
+        Ok(first)
+    }
+
+    /// The solution that pass 2 reads.
+    fn solution<'f>(&'f self, first: &'f First) -> Option<&'f Solution> {
+        self.kept.map(|k| &k.solution).or(first.pass1.as_ref().map(|p| &p.0.solution))
+    }
+
+    /// Pass 2: renders what is not rendered yet, and writes it.
+    fn pictures(
+        &self,
+        first: &First,
+        patterns: &[Pattern],
+        versions: &Versions,
+        stages: &mut Vec<Stage>,
+    ) -> Result<Pictures> {
+        let &Ready { args, visibility, emitters, cameras, progress, .. } = self;
+        let observer = &|e| progress.tell(e);
+        let advance = |n| progress.tell(pipeline::Event::Advance(n));
+        let (settings, size) = (&first.settings, cameras[0].1.size);
+        let renderer =
+            LazyLock::new(|| Renderer::new(visibility, emitters, self.solution(first), size, settings));
+        let picture = |camera: &Camera| match &first.directional {
+            Some(solution) => {
+                let samples = (settings.spp, settings.seed);
+                render_directional(visibility, emitters, solution, camera, samples, &advance)
+            }
+            None => renderer.render(camera, &advance),
+        };
+
+        image::ready()?;
+        let options = WriteOptions { exposure: args.exposure, metadata: metadata(args, versions, settings) };
+        let pixels: u64 = cameras.iter().map(|(_, c)| u64::from(c.size[0]) * u64::from(c.size[1])).sum();
+        let mut pictures = Pictures::default();
+        if args.frames.is_some() {
+            pictures.frames = pipeline::stage("trace", pixels, observer, stages, || {
+                let trace = |frame: u32| {
+                    let k = (frame - cameras[0].0) as usize;
+                    progress.tell(pipeline::Event::Item(k as u64 + 1, cameras.len() as u64));
+                    picture(&cameras[k].1)
+                };
+                let write = |frame: u32, image: &Image| {
+                    patterns.iter().try_for_each(|p| image::write(image, &p.file(frame), &options))
+                };
+                let times = render_frames(cameras.iter().map(|c| c.0), trace, write);
+                let rays = times.iter().flatten().map(|t| t.rays).sum();
+                (times, rays)
+            })?;
+            pictures.dropped = pictures.frames.iter().map(|f| f.dropped).reduce(f64::max);
+            tell_frames(progress, &pictures.frames, stages.last());
+            return Ok(pictures);
+        }
+        let traced;
+        let image = match &first.rendered {
+            Some((image, dropped, _)) => {
+                pictures.dropped = Some(*dropped);
+                image
+            }
+            None => {
+                traced = pipeline::stage("trace", pixels, observer, stages, || {
+                    let (image, traced) = picture(&cameras[0].1);
+                    pictures.dropped = Some(traced.dropped);
+                    (image, traced.rays)
+                });
+                &traced
+            }
+        };
+        pipeline::stage("write", 0, observer, stages, || {
+            (args.output.iter().try_for_each(|output| image::write(image, output, &options)), 0)
+        })?;
+        Ok(pictures)
+    }
+
+    /// Says what pass 1 came to, on the terminal and in the report.
+    fn complete(&self, report: &mut Report, first: First) {
+        let progress = self.progress;
+        let elements = self.solution(&first).map_or(0, |s| s.mesh.len());
+        report.elements = first.directional.as_ref().map_or(elements, Directional::elements);
+        report.accuracy = first.rendered.map(|r| r.2);
+        if let Some((result, settings)) = &first.pass1 {
+            let mut pass1 = Pass1Report::new(settings, result);
+            pass1.adaptive = first.adapted;
+            tell_adapted(progress, &pass1);
+            progress.line(&format!(
+                "{} elements of at most {:.4} m, standard error {:.2} %, energy residual {:.2} %",
+                pass1.elements,
+                pass1.element_size,
+                100.0 * pass1.standard_errors.relative_rms,
+                100.0 * pass1.energy.residual.abs().max_element()
+            ));
+            report.pass1 = Some(pass1);
+        }
+        if let (Some(kept), Some(path)) = (self.kept, &self.args.solution) {
+            let file = path.display().to_string();
+            let mesh = &kept.solution.mesh;
+            progress.line(&format!(
+                "{} elements of at most {:.4} m, solved before",
+                mesh.len(),
+                mesh.element_size
+            ));
+            report.solution = Some(KeptReport { file, about: kept.about.clone() });
+        }
+    }
 }
 
 /// Refuses options that do not go together, before any work.

@@ -6,6 +6,8 @@
 //! on a table, the table's top is seen through it, in optical contact. Of two alike the smaller polygon keeps its part: what
 //! was put on a larger surface was meant to be seen. A translucent face on an opaque one (a paper lantern that stands on a floor) is one
 //! surface with it where they touch, [`Material::coated`], of its own object and with the front of what it lies on.
+//! What glass stands on is divided along the glass's outline: the radiosity within differs by the index squared, and elements
+//! must not lie half within.
 
 use super::{Face, Material, polygon};
 use glam::{DVec2, DVec3};
@@ -36,7 +38,7 @@ pub(super) struct Cut {
 struct Change {
     /// Faces that keep what it has in common with them.
     winners: Vec<u32>,
-    /// Translucent faces that lie on it.
+    /// Translucent faces that lie on it, and those of glass that stand on it.
     coats: Vec<u32>,
 }
 
@@ -44,17 +46,23 @@ struct Change {
 struct Coated<'a> {
     known: &'a [Material],
     made: Vec<Material>,
-    /// Of a sheet's material and what it lies on.
+    /// Of the material on top and what it lies on.
     numbers: HashMap<(u32, u32), u32>,
 }
 
 impl Coated<'_> {
-    fn number(&mut self, sheet: u32, base: u32) -> u32 {
+    fn number(&mut self, top: u32, base: u32) -> u32 {
         let next = (self.known.len() + self.made.len()) as u32;
-        *self.numbers.entry((sheet, base)).or_insert_with(|| {
+        *self.numbers.entry((top, base)).or_insert_with(|| {
             let base = base as usize;
             let below = self.known.get(base).unwrap_or_else(|| &self.made[base - self.known.len()]);
-            self.made.push(below.coated(&self.known[sheet as usize]));
+            let top = &self.known[top as usize];
+            // Under glass the same material under another name: interpolated light does not cross over to another material.
+            let made = match top.bends() {
+                true => Material { name: format!("{} under {}", below.name, top.name), ..below.clone() },
+                false => below.coated(top),
+            };
+            self.made.push(made);
             next
         })
     }
@@ -111,6 +119,16 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
             let flat = a.normals.is_none() && b.normals.is_none();
             flat && materials[a.material as usize].can_coat(&materials[b.material as usize])
         };
+        // Whether glass stands on what neither refracts nor shines.
+        let immerses = |glass: u32, base: u32| {
+            let [a, b] = [glass, base].map(|k| &faces[k as usize]);
+            let [glass, base] = [a, b].map(|f| &materials[f.material as usize]);
+            a.normals.is_none()
+                && b.normals.is_none()
+                && glass.bends()
+                && !base.is_glass()
+                && !base.is_emitter()
+        };
         let mut changes: HashMap<u32, Change> = HashMap::new();
         for (i, a) in flats.iter().enumerate() {
             for b in flats[i + 1..].iter().take_while(|b| b.low.x < a.high.x) {
@@ -126,7 +144,7 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
                     let a_wins = b_joins || !a_joins && (x.0, x.1, x.2) < (y.0, y.1, y.2);
                     let (winner, loser) = if a_wins { (a.face, b.face) } else { (b.face, a.face) };
                     changes.entry(loser).or_default().winners.push(winner);
-                    if a_joins || b_joins {
+                    if a_joins || b_joins || immerses(loser, winner) {
                         changes.entry(winner).or_default().coats.push(loser);
                     }
                 }
@@ -157,9 +175,11 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
                     let (outside, common) = subtract(face, &piece, &cutter);
                     pieces.extend(outside.into_iter().map(|p| (p, made)));
                     if let Some(common) = common {
-                        // What is looked at is the sheet.
+                        // What is looked at is the sheet, but through glass what lies below.
+                        let through = materials[coat.material as usize].bends();
+                        let object = if through { made.object } else { coat.object };
                         let material = coated.number(coat.material, made.material);
-                        pieces.push((common, Made { object: coat.object, material }));
+                        pieces.push((common, Made { object, material }));
                     }
                 }
             }
@@ -416,6 +436,29 @@ mod tests {
         // Both sheets on the floor: 0.01; one of them: 0.16 - 0.01 on the floor and the tile, and 0.25 - 0.01.
         assert!((area(twice) - 0.01).abs() < 1e-12);
         assert!((area(once) - (0.15 + 0.24)).abs() < 1e-12);
+    }
+
+    /// Under glass that stands partly on a floor the floor is a face of its own: of the same object, and alike but in name.
+    #[test]
+    fn what_glass_stands_on_is_divided_along_its_outline() {
+        let mut points = Vec::new();
+        let mut faces = vec![
+            square(&mut points, [0.0, 1.0], [0.0, 1.0], 0.0, 0),
+            square(&mut points, [0.6, 1.2], [0.2, 0.7], 0.0, 1),
+        ];
+        let mut materials = materials("dg");
+        let cut = cut(&mut faces, &mut points, &mut materials);
+        assert_eq!((cut.objects, cut.joined.len()), (vec![1], 0));
+        let area = |object: u32, material: u32| -> f64 {
+            let same = |f: &&Face| (f.object, f.material) == (object, material);
+            faces.iter().filter(same).map(|f| polygon::area_vector(&corners(f, &points)).z).sum()
+        };
+        assert_eq!(materials[2].name, "d under g");
+        assert_eq!(Material { name: "d".into(), ..materials[2].clone() }, materials[0]);
+        for (object, material, expected) in [(0, 0, 0.8), (0, 2, 0.2), (1, 1, 0.1)] {
+            let found = area(object, material);
+            assert!((found - expected).abs() < 1e-12, "object {object}, material {material}: {found}");
+        }
     }
 
     #[test]
