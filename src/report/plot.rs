@@ -12,7 +12,7 @@ const HEIGHT: u32 = 480;
 const LEGEND: u32 = 270;
 
 /// Colours that most colour-blind people can tell apart (Okabe and Ito 2008).
-const COLOURS: [RGBColor; 8] = [
+const COLOURS: [RGBColor; 10] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
     RGBColor(0, 158, 115),
@@ -21,6 +21,8 @@ const COLOURS: [RGBColor; 8] = [
     RGBColor(166, 118, 0),
     RGBColor(60, 60, 60),
     RGBColor(120, 80, 200),
+    RGBColor(200, 20, 60),
+    RGBColor(150, 160, 0),
 ];
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;

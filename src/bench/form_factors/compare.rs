@@ -46,10 +46,10 @@ fn best(subject: &Subject, methods: &[Method], threads: usize, error: (&str, f64
 }
 
 /// Smallest error that any of these methods was measured with.
-fn finest(subject: &Subject, methods: &[Method], threads: usize) -> Option<f64> {
+fn finest(subject: &Subject, methods: &[Method], threads: usize, error: &str) -> Option<f64> {
     let names: Vec<String> = methods.iter().map(|m| series_name(*m, threads)).collect();
     let points = subject.series.iter().filter(|s| names.contains(&s.name)).flat_map(|s| &s.points);
-    points.filter_map(|p| p.summary(RMS)).map(|s| s.median).min_by(f64::total_cmp)
+    points.filter_map(|p| p.summary(error)).map(|s| s.median).min_by(f64::total_cmp)
 }
 
 /// One level of a configuration at which rays and hemi-cubes meet.
@@ -219,15 +219,24 @@ fn sentences(subject: &Subject, found: &[Meeting], threads: usize, faces: &str) 
         ));
     }
     let light = |methods: &[Method]| best(subject, methods, threads, (RADIOSITY, LIGHT_LEVEL));
-    if let (Some(rays), Some(cubes)) = (light(&RAYS), light(&CUBES)) {
+    if let Some(rays) = light(&RAYS) {
+        let against = match light(&CUBES) {
+            Some(cubes) => format!(
+                "{} the best hemi-cube ({}, {})",
+                speed(rays.seconds, cubes.seconds),
+                cubes.series,
+                seconds(&cubes)
+            ),
+            None => format!(
+                "and no hemi-cube gets there within the sweeps' time ({} at best)",
+                finest(subject, &CUBES, threads, RADIOSITY).map_or("-".into(), percent)
+            ),
+        };
         said.push(format!(
-            "For reflected radiosity within {} (RMS) of the answer's, \"{}\" takes {}, {} the best hemi-cube ({}, {}).",
+            "For reflected radiosity within {} (RMS) of the answer's, \"{}\" takes {}, {against}.",
             percent(LIGHT_LEVEL),
             rays.series,
-            seconds(&rays),
-            speed(rays.seconds, cubes.seconds),
-            cubes.series,
-            seconds(&cubes)
+            seconds(&rays)
         ));
     }
     let exact = series_name(Method::Exact, threads);
@@ -239,7 +248,7 @@ fn sentences(subject: &Subject, found: &[Meeting], threads: usize, faces: &str) 
             percent(error.median)
         ));
     }
-    let of = |methods: &[Method]| finest(subject, methods, threads).map_or("-".into(), percent);
+    let of = |methods: &[Method]| finest(subject, methods, threads, RMS).map_or("-".into(), percent);
     said.push(format!(
         "Smallest RMS error within the sweeps' time: {} by hemisphere rays, {} by the best ray-cast method, {} by hemi-cubes.",
         of(&[Method::Sobol]),
@@ -336,6 +345,18 @@ mod tests {
         let (_, text) = made(&fast, &slow);
         assert!(text.contains("faster than the best hemi-cube at every RMS error"), "{text}");
         assert!(text.contains("4.00 times as fast as the best") && !text.contains("to draw"), "{text}");
+        // Light within 1 %: after 0.2 s of rays; hemi-cubes stay at 4 %.
+        let mut s = Subject::new("s", "t, 6 faces", "");
+        for (method, seconds, error) in
+            [(Method::Automatic, 0.1, 0.04), (Method::Automatic, 0.4, 2.5e-3), (Method::Centre, 0.3, 0.04)]
+        {
+            let point = s.series(&series_name(method, 2), "n").at(seconds);
+            point.push(TIME, Unit::Seconds, seconds);
+            point.push(RADIOSITY, Unit::Share, error);
+        }
+        let text = sentences(&s, &[], 2, "6 faces").join(" ");
+        assert!(text.contains("\"rays, automatic\" takes 0.200 s, and no hemi-cube gets there"), "{text}");
+        assert!(text.contains("(4.00 % at best)"), "{text}");
         // No common error but those that the fastest setting of each reaches.
         let (count, text) = made(&[(1.0, 0.5, 10.0)], &[(1.0, 0.9, 10.0)]);
         assert_eq!(count, 0);
