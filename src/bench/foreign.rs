@@ -29,7 +29,7 @@ pub(super) fn references(context: &Context) -> Result<Subject> {
         &["ours/cornell_diffuse"],
         &["ours/cornell_diffuse", "ours/cornell_glossy", "ours/cornell_mirror", "mcguire/original"],
     );
-    let spp = context.choose(32, 256);
+    let spp = context.choose(16, 256);
     for name in names {
         let file = |end: &str| folder.join(format!("{name}{end}"));
         if !file("_A.exr").is_file() {

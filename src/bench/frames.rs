@@ -9,9 +9,6 @@ use crate::sequence::render_frames;
 use crate::{Error, Result};
 use std::time::Instant;
 
-/// Edge of the pictures, in pixels.
-const SIZE: u32 = 512;
-
 const RATE: &str = "frames a second";
 const BUSY: &str = "share of the time that the encoder is busy";
 const BYTES: &str = "bytes of a frame";
@@ -19,9 +16,10 @@ const BYTES: &str = "bytes of a frame";
 /// Qualities `mesh` and `direct` along a short path of the camera, written as OpenEXR.
 pub(super) fn frames(stage: &View, name: &str) -> Result<Subject> {
     let context = stage.context;
+    let size: u32 = context.choose(256, 512);
     let mut subject = Subject::new(
         &format!("{name}-frames"),
-        format!("{name}: frames of {SIZE} x {SIZE} pixels"),
+        format!("{name}: frames of {size} x {size} pixels"),
         "How many frames a second come from a kept solution of pass 1, written as OpenEXR in 32-bit floats. The camera moves from \
          frame to frame; while one is encoded and written, the next ones are traced. The relative RMSE is that of the other \
          pictures of this scene, which are smaller, at the same quality and samples a pixel.",
@@ -36,9 +34,9 @@ pub(super) fn frames(stage: &View, name: &str) -> Result<Subject> {
             for spp in [1, 4] {
                 let settings = settings(Method::TwoPass(quality), spp, seed);
                 let renderer =
-                    Renderer::new(stage.visibility, stage.emitters, Some(&solution), [SIZE; 2], &settings);
+                    Renderer::new(stage.visibility, stage.emitters, Some(&solution), [size; 2], &settings);
                 let trace = |frame: u32| {
-                    let camera = moved(stage.camera, f64::from(frame) / f64::from(count));
+                    let camera = moved(stage.camera, f64::from(frame) / f64::from(count), size);
                     renderer.render(&camera, &|_| ())
                 };
                 let path = |frame: u32| folder.path().join(format!("{frame}.exr"));
@@ -66,9 +64,9 @@ pub(super) fn frames(stage: &View, name: &str) -> Result<Subject> {
     Ok(subject)
 }
 
-/// The camera a share of the way along a step to its right by a tenth of its distance.
-fn moved(camera: &Camera, share: f64) -> Camera {
+/// The camera, for square pictures of `size` pixels an edge, a share of the way along a step to its right by a tenth of its distance.
+fn moved(camera: &Camera, share: f64, size: u32) -> Camera {
     let view = camera.target - camera.origin;
     let step = 0.1 * share * view.cross(camera.up).normalize_or_zero() * view.length();
-    Camera { origin: camera.origin + step, size: [SIZE; 2], ..camera.clone() }
+    Camera { origin: camera.origin + step, size: [size; 2], ..camera.clone() }
 }

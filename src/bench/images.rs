@@ -30,7 +30,7 @@ fn scene(context: &Context, name: &str, found: &mut Measurements) -> Result<()> 
     camera.size = [width, width * camera.size[1] / camera.size[0]];
     let visibility = Visibility::new(context.device, &scene)?;
     let emitters = Emitters::new(&visibility);
-    let reference = reference(context, &visibility, &emitters, &camera, context.choose(512, 2048))?;
+    let reference = reference(context, &visibility, &emitters, &camera, context.choose(384, 2048))?;
     let stage = View {
         context,
         visibility: &visibility,
@@ -157,7 +157,7 @@ fn methods(stage: &View, subject: &mut Subject) -> Result<Vec<Kept>> {
 fn elements(stage: &View, subject: &mut Subject) -> Result<()> {
     let defaults = pass1(stage.context, stage.visibility.scene());
     let Some(size) = defaults.element_size else { return Ok(()) };
-    let factors: &[f64] = stage.context.choose(&[2.0, 1.0], &[4.0, 2.0, 1.0, 0.5]);
+    let factors: &[f64] = stage.context.choose(&[4.0, 2.0], &[4.0, 2.0, 1.0, 0.5]);
     let seed = stage.context.settings.seed;
     (stage.context.observer)(&format!("images: {}, elements", subject.name));
     for factor in factors {

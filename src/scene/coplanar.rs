@@ -39,7 +39,7 @@ struct Change {
     /// Faces that keep what it has in common with them.
     winners: Vec<u32>,
     /// Translucent faces that lie on it, and those of glass that stand on it.
-    coats: Vec<u32>,
+    tops: Vec<u32>,
 }
 
 /// Materials of surfaces in contact.
@@ -145,7 +145,7 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
                     let (winner, loser) = if a_wins { (a.face, b.face) } else { (b.face, a.face) };
                     changes.entry(loser).or_default().winners.push(winner);
                     if a_joins || b_joins || immerses(loser, winner) {
-                        changes.entry(winner).or_default().coats.push(loser);
+                        changes.entry(winner).or_default().tops.push(loser);
                     }
                 }
             }
@@ -168,7 +168,7 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
                 result.kept.push(face.object);
                 continue;
             }
-            for &c in &change.coats {
+            for &c in &change.tops {
                 let coat = &faces[c as usize];
                 let cutter = flatten(face, &corners(coat, points));
                 for (piece, made) in std::mem::take(&mut pieces) {
