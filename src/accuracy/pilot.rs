@@ -7,7 +7,7 @@
 //! to as elements become finer: its values on the two finest levels, extrapolated. Every difference is taken
 //! between pictures with the same view rays, which cancels most of the noise beforehand.
 
-use super::View;
+use super::{ELEMENT, MOST_RAYS, RAY, SAMPLE, View};
 use crate::color::Rgb;
 use crate::image::Image;
 use crate::mesh::default_element_size;
@@ -43,9 +43,28 @@ pub(super) struct Square {
 }
 
 impl Square {
-    /// What may be counted on: the estimate and one standard error, not below zero.
+    /// What may be counted on: the estimate, where it is not below zero, and one standard error.
     pub fn safe(&self) -> f64 {
-        (self.value + self.error).max(0.0)
+        self.value.max(0.0) + self.error
+    }
+}
+
+/// What hides a systematic error.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Noise {
+    /// Rays of elements.
+    Pass1,
+    /// Samples of pixels.
+    Pass2,
+}
+
+impl Noise {
+    /// Factors of rays an element and of samples a pixel with which there is less of it.
+    fn growth(self) -> (u32, u32) {
+        match self {
+            Noise::Pass1 => (4, 1),
+            Noise::Pass2 => (1, 4),
+        }
     }
 }
 
@@ -77,8 +96,10 @@ pub(super) struct Level {
 pub(super) struct Pilot<'a, 's> {
     view: &'a View<'a, 's>,
     seed: u32,
-    /// Rays an element, from the third level on.
-    pub rays: u32,
+    /// Rays an element at least.
+    fewest_rays: u32,
+    /// Rays an element of the third level; a level has half of those of the one before.
+    rays: u32,
     spp: u32,
     pub pixels: Vec<[u32; 2]>,
     /// One in [`SHARE`] of them.
@@ -102,15 +123,66 @@ impl<'a, 's> Pilot<'a, 's> {
         let pixels = choose_pixels(view.camera.size, mask, pixels, seed);
         let few = pixels.iter().step_by(SHARE).copied().collect();
         let noise = Default::default();
-        Pilot { view, seed, rays, spp, pixels, few, levels: Vec::new(), noise, cast: 0 }
+        let levels = Vec::new();
+        Pilot { view, seed, fewest_rays: rays, rays, spp, pixels, few, levels, noise, cast: 0 }
+    }
+
+    /// Rays an element of a level. Few elements have much noise in common between the pixels of each.
+    fn rays_of(&self, level: usize) -> u32 {
+        (self.rays << 2 >> level.min(16)).max(self.fewest_rays)
+    }
+
+    /// What another level costs: two solves of four times as many elements \[rays\].
+    pub fn cost_to_refine(&self) -> f64 {
+        let last = self.levels.last().map_or(0.0, |l| l.rays);
+        8.0 * last * (f64::from(self.rays_of(self.levels.len())) + ELEMENT)
+    }
+
+    /// What to have four times as many of, so that a systematic error is better known, and what that costs \[rays\];
+    /// infinite where an element has as many rays as it may.
+    pub fn sharper(&self, quality: usize, level: usize) -> (Noise, f64) {
+        let fine = self.levels.len() - 1;
+        let of_pass1: f64 = [(quality, level), (2, fine)]
+            .map(|(q, l)| self.noise_of_pass1(q, l) / f64::from(self.levels[l].rays_each))
+            .iter()
+            .sum();
+        // Gathered pictures differ by their elements alone: their samples are the same.
+        let of_pass2 = if quality == 2 { 0.0 } else { self.noise(2, self.spp) };
+        let noise = if of_pass1 > of_pass2 { Noise::Pass1 } else { Noise::Pass2 };
+        if noise == Noise::Pass1 && f64::from(self.rays_of(0)) * 4.0 > MOST_RAYS {
+            return (noise, f64::INFINITY);
+        }
+        let (more_rays, more_samples) = noise.growth();
+        let samples = 2.25 * self.pixels.len() as f64 * f64::from(self.spp * more_samples);
+        let pass2: f64 = (0..3).map(|q| samples * (SAMPLE + RAY * self.rays_per_sample(q))).sum();
+        let levels = self.levels.iter().enumerate();
+        let cost = levels
+            .map(|(k, l)| 2.0 * l.rays * (f64::from(self.rays_of(k) * more_rays) + ELEMENT) + pass2)
+            .sum();
+        (noise, cost)
+    }
+
+    /// Looks at all levels anew with less of a noise; `false` where memory forbids it.
+    pub fn sharpen(&mut self, noise: Noise) -> Result<bool> {
+        let (more_rays, more_samples) = noise.growth();
+        self.rays *= more_rays;
+        self.fewest_rays *= more_rays;
+        self.spp *= more_samples;
+        let count = self.levels.len();
+        self.levels.clear();
+        while self.levels.len() < count {
+            if !self.refine()? {
+                return Ok(false);
+            }
+        }
+        Ok(true)
     }
 
     /// Adds the next finer level; `false` where memory forbids it. The first two are needed.
     pub fn refine(&mut self) -> Result<bool> {
         let scene = self.view.visibility.scene();
         let element_size = COARSEST * default_element_size(scene) * 0.5f64.powi(self.levels.len() as i32);
-        // Few elements have much noise in common between the pixels of each.
-        let rays_each = self.rays << 2usize.saturating_sub(self.levels.len());
+        let rays_each = self.rays_of(self.levels.len());
         let mut runs = Vec::new();
         let mut rays = 0;
         for run in 0..2 {
@@ -127,7 +199,7 @@ impl<'a, 's> Pilot<'a, 's> {
             });
         }
         self.cast += rays;
-        if self.levels.is_empty() {
+        if self.levels.is_empty() && self.noise == <[[f64; 3]; 3]>::default() {
             self.measure_noise(&runs[0]);
         }
         let sampled = Quality::ALL.map(|quality| {
@@ -218,7 +290,9 @@ impl<'a, 's> Pilot<'a, 's> {
             .collect();
         let square = product(&differences[0], &differences[1]);
         let mean = self.mean();
-        Square { value: square.value / (mean * mean), error: square.error / (mean * mean) }
+        let value = square.value / (mean * mean);
+        // What is below zero tells of noise that pixels have in common, by elements that many of them see.
+        Square { value, error: (square.error / (mean * mean)).max(-value) }
     }
 }
 
