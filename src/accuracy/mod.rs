@@ -31,7 +31,7 @@ const SYSTEMATIC: f64 = 0.7;
 /// Most of the squared aim that the standard error of the squared discretisation may take: beyond it, nobody knows.
 const UNSURE: f64 = 0.25;
 /// Most work of the pilot's next step to learn whether a plan will do, over the work of that plan.
-const KNOWING: f64 = 4.0;
+const KNOWING: f64 = 1.0;
 /// Time of an element of pass 1 in rays of its row, beside these. Measured: 35 and 0.24 microseconds.
 const ELEMENT: f64 = 150.0;
 /// Time of a ray of pass 2 over that of one of pass 1, whose packets are coherent. Measured: 0.32 and 0.19 microseconds.
@@ -76,7 +76,7 @@ pub struct Achieved {
     pub relative_rmse: f64,
     /// Its part by noise of both passes.
     pub noise: f64,
-    /// Its part by the size of elements and by the quality.
+    /// Its part by the size of elements and by the quality; where that is not known well, the most that it may be, by one standard error.
     pub discretisation: f64,
     /// Standard error of the squared discretisation.
     pub discretisation_squared_error: f64,
@@ -397,7 +397,9 @@ fn finish(
 /// What to say where the picture is worse than asked.
 fn missed(a: &Achieved) -> Option<String> {
     (!a.met).then(|| {
-        let (why, help) = if a.discretisation > a.noise {
+        let (why, help) = if a.discretisation_squared_error > UNSURE * (AIM * a.asked).powi(2) {
+            ("how wrong elements of this size are is not known better", "ask for a larger error")
+        } else if a.discretisation > a.noise {
             ("finer elements would take too much memory or time", "allow more with --max-memory")
         } else {
             ("more samples would take too long", "ask for a larger error")
