@@ -195,7 +195,7 @@ fn prepare<'a, 's>(
 }
 
 /// Where no plan is known to do: what hides whether the cheapest does that might, and what it costs to know, unless that is
-/// far more than the plan.
+/// more than the plan itself.
 fn worth_knowing(pilot: &Pilot, camera: &Camera, aim: f64) -> Option<(Noise, f64)> {
     if cheapest(pilot, camera, aim, UNSURE).is_some() {
         return None;

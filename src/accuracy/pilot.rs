@@ -7,7 +7,7 @@
 //! to as elements become finer: its values on the two finest levels, extrapolated. Every difference is taken
 //! between pictures with the same view rays, which cancels most of the noise beforehand.
 
-use super::{ELEMENT, MOST_RAYS, RAY, SAMPLE, View};
+use super::{ELEMENT, MOST_RAYS, MOST_SAMPLES, RAY, SAMPLE, View};
 use crate::color::Rgb;
 use crate::image::Image;
 use crate::mesh::default_element_size;
@@ -139,7 +139,7 @@ impl<'a, 's> Pilot<'a, 's> {
     }
 
     /// What to have four times as many of, so that a systematic error is better known, and what that costs \[rays\];
-    /// infinite where an element has as many rays as it may.
+    /// infinite where there are as many as there may be.
     pub fn sharper(&self, quality: usize, level: usize) -> (Noise, f64) {
         let fine = self.levels.len() - 1;
         let of_pass1: f64 = [(quality, level), (2, fine)]
@@ -149,10 +149,10 @@ impl<'a, 's> Pilot<'a, 's> {
         // Gathered pictures differ by their elements alone: their samples are the same.
         let of_pass2 = if quality == 2 { 0.0 } else { self.noise(2, self.spp) };
         let noise = if of_pass1 > of_pass2 { Noise::Pass1 } else { Noise::Pass2 };
-        if noise == Noise::Pass1 && f64::from(self.rays_of(0)) * 4.0 > MOST_RAYS {
+        let (more_rays, more_samples) = noise.growth();
+        if f64::from(self.rays_of(0) * more_rays) > MOST_RAYS || self.spp * more_samples > MOST_SAMPLES {
             return (noise, f64::INFINITY);
         }
-        let (more_rays, more_samples) = noise.growth();
         let samples = 2.25 * self.pixels.len() as f64 * f64::from(self.spp * more_samples);
         let pass2: f64 = (0..3).map(|q| samples * (SAMPLE + RAY * self.rays_per_sample(q))).sum();
         let levels = self.levels.iter().enumerate();
@@ -198,10 +198,10 @@ impl<'a, 's> Pilot<'a, 's> {
                 other => other?.solution,
             });
         }
-        self.cast += rays;
-        if self.levels.is_empty() && self.noise == <[[f64; 3]; 3]>::default() {
+        if self.cast == 0 {
             self.measure_noise(&runs[0]);
         }
+        self.cast += rays;
         let sampled = Quality::ALL.map(|quality| {
             let one = |solution, run, pixels| self.render(quality, (solution, pixels), self.spp, run);
             let (first, cast) = one(&runs[0], 0, &self.pixels);
