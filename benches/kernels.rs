@@ -9,7 +9,7 @@ use std::hint::black_box;
 use twopass::bench::embedded;
 use twopass::color::Rgb;
 use twopass::embree::{Device, RayLanes, RayPacket};
-use twopass::form_factor::{Casting, HemicubeSettings, cast, hemicube, packets_of};
+use twopass::form_factor::{AtSpecular, Casting, HemicubeSettings, cast, hemicube, packets_of};
 use twopass::mesh::{Mesh, Sides, default_element_size};
 use twopass::radiosity::{Transport, solve_irradiance};
 use twopass::sampling::SobolTable;
@@ -61,7 +61,7 @@ fn rows(c: &mut Criterion, scene: &Scene, visibility: &Visibility, mesh: &Mesh) 
         rays,
         batches: 4,
         seed: 0,
-        specular: false,
+        specular: AtSpecular::End,
         reached: None,
         emitters: None,
         progress: &|_| (),

@@ -45,7 +45,7 @@ pub fn solve(
     pipeline::require_light(scene, emitters)?;
     let size = settings.element_size.unwrap_or_else(|| default_element_size(scene));
     let (reached, uniform, mut division) = pipeline::building(stages, || {
-        let reached = pipeline::reached(visibility, cameras, settings.seed);
+        let reached = pipeline::reached(visibility, cameras, settings.seed, observer);
         let mut division = Division::new(scene, &reached, size)?;
         let uniform = Mesh::uniform_len(scene, &reached, size);
         division.balance(scene, &reached)?;

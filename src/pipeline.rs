@@ -3,7 +3,9 @@
 
 use crate::color::Rgb;
 use crate::emitters::Emitters;
-use crate::form_factor::{self, Casting, EmitterRows, EmitterWork, ProjectionMap, Recast, Rows, pass_on};
+use crate::form_factor::{
+    self, AtSpecular, Casting, EmitterRows, EmitterWork, ProjectionMap, Recast, RowSummary, Rows, pass_on,
+};
 use crate::memory::{Factors, Need, Plan};
 use crate::mesh::{Mesh, NONE, Sides, default_element_size};
 use crate::radiosity::{self, Directional, EmitterLight, Importance, Solution, System, View};
@@ -19,6 +21,8 @@ use std::time::Instant;
 pub const DEFAULT_RAYS: u32 = 1024;
 /// Independent randomisations of each row, for standard errors.
 pub const BATCHES: u32 = 4;
+/// Share of an object's light lost in chains that were cut, from which on it is said.
+const MOST_DROPPED: f64 = 1e-3;
 /// Relative residual of the radiosity solve.
 pub const TOLERANCE: f64 = 1e-8;
 
@@ -164,8 +168,26 @@ pub fn solve_within(
     stages: &mut Vec<Stage>,
 ) -> Result<Pass1Result> {
     require_light(visibility.scene(), emitters)?;
-    let (reached, mesh) = reached_mesh(visibility, cameras, settings, false, stages)?;
-    solve_mesh(limit, visibility, emitters, (&reached, mesh, None), settings, observer, stages)
+    let reached = building(stages, || reached(visibility, cameras, settings.seed, observer));
+    solve_reached(limit, visibility, emitters, &reached, settings, observer, stages)
+}
+
+/// [`solve_within`] of sides that light or a camera can reach ([`reached`]), which several solutions may share.
+///
+/// # Errors
+/// As [`solve_within`].
+pub fn solve_reached(
+    limit: Option<u64>,
+    visibility: &Visibility,
+    emitters: &Emitters,
+    reached: &Sides,
+    settings: &Pass1,
+    observer: Observer,
+    stages: &mut Vec<Stage>,
+) -> Result<Pass1Result> {
+    require_light(visibility.scene(), emitters)?;
+    let mesh = building(stages, || uniform_mesh(visibility.scene(), reached, settings, false))?;
+    solve_mesh(limit, visibility, emitters, (reached, mesh, None), settings, observer, stages)
 }
 
 /// [`solve_within`] of given elements on sides that light or a camera can reach; the settings' element size does not matter. With
@@ -213,7 +235,7 @@ pub(crate) fn solve_mesh(
         rays: settings.rays,
         batches,
         seed: settings.seed,
-        specular,
+        specular: if specular { AtSpecular::GoOnByAlbedo } else { AtSpecular::End },
         reached: Some(reached),
         emitters: (!emitters.is_empty()).then_some((emitters, work)),
         progress: &|n| observer(Event::Advance(n)),
@@ -290,7 +312,8 @@ pub fn solve_directional(
 ) -> Result<Directional> {
     let scene = visibility.scene();
     require_light(scene, emitters)?;
-    let mesh = reached_mesh(visibility, cameras, settings, true, stages)?.1;
+    let reached = building(stages, || reached(visibility, cameras, settings.seed, observer));
+    let mesh = building(stages, || uniform_mesh(scene, &reached, settings, true))?;
     stage("solve", 0, observer, stages, || {
         let samples = (settings.rays / 4).max(16);
         let straight = if emitters.is_empty() {
@@ -357,27 +380,18 @@ pub fn without_elements(visibility: &Visibility, mesh: &Mesh, cameras: &[&Camera
     )]
 }
 
-/// The sides that light or a camera can reach, divided into elements; its time counts as `build`.
-fn reached_mesh(
-    visibility: &Visibility,
-    cameras: &[Camera],
-    settings: &Pass1,
-    with_black: bool,
-    stages: &mut [Stage],
-) -> Result<(Sides, Mesh)> {
-    let scene = visibility.scene();
-    let size = settings.element_size.unwrap_or_else(|| default_element_size(scene));
-    building(stages, || {
-        let reached = reached(visibility, cameras, settings.seed);
-        let mesh = Mesh::new(scene, &reached, size, with_black)?;
-        Ok((reached, mesh))
-    })
+/// Sides divided into elements of the settings' size.
+fn uniform_mesh(scene: &Scene, sides: &Sides, settings: &Pass1, with_black: bool) -> Result<Mesh> {
+    Mesh::new(scene, sides, settings.element_size.unwrap_or_else(|| default_element_size(scene)), with_black)
 }
 
 /// The sides that light or a camera can reach.
-pub(crate) fn reached(visibility: &Visibility, cameras: &[Camera], seed: u32) -> Sides {
+pub fn reached(visibility: &Visibility, cameras: &[Camera], seed: u32, observer: Observer) -> Sides {
+    observer(Event::Begin("reach", 0));
     let frames: Vec<_> = cameras.iter().map(|c| (c.frame(visibility.scene()), c.size)).collect();
-    reachable_sides(visibility, &frames, seed)
+    let reached = reachable_sides(visibility, &frames, seed);
+    observer(Event::End);
+    reached
 }
 
 /// Does work whose time counts as `build`.
@@ -398,6 +412,26 @@ fn most_particles(elements: usize, rays: u32) -> f64 {
 /// As many as bring light over chains as often as [`most_particles`] would.
 fn aimed_particles(most: f64, projection: &ProjectionMap) -> u32 {
     (most * (projection.useful / projection.aimed).min(1.0)).max(65_536.0) as u32
+}
+
+/// Names the object that misses most of its light because specular chains were cut, where that matters. A single element's share
+/// is one of chance: few chains are that long.
+fn cut_short(scene: &Scene, mesh: &Mesh, rows: &[RowSummary]) -> Option<String> {
+    let mut objects = vec![(0.0, 0.0); scene.objects.len()];
+    for (e, row) in (0..).zip(rows) {
+        let (dropped, area) = &mut objects[scene.faces[mesh.place(e).0 as usize].object as usize];
+        *dropped += mesh.area(e) * row.dropped.max_element();
+        *area += mesh.area(e);
+    }
+    let shares = objects.iter().map(|(dropped, area)| if *area > 0.0 { dropped / area } else { 0.0 });
+    let (most, share) = shares.enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
+    (share > MOST_DROPPED).then(|| {
+        format!(
+            "specular chains were cut after their longest: {:.2} % of the light of object \"{}\" is missing",
+            100.0 * share,
+            scene.objects[most]
+        )
+    })
 }
 
 fn finish(
@@ -426,12 +460,7 @@ fn finish(
     if mesh.is_empty() {
         warnings.push("no diffuse surface can be reached by light or a camera: pass 1 is empty".into());
     }
-    if residuals.dropped > 1e-3 {
-        warnings.push(format!(
-            "specular chains were cut after their longest: up to {:.2} % of an element's light is missing",
-            100.0 * residuals.dropped
-        ));
-    }
+    warnings.extend(cut_short(scene, &mesh, rows.summary()));
     let system = System::new(scene, &mesh, (rows, &check, tiles));
     let solution = radiosity::solve(scene, mesh, &system, emitters, light, TOLERANCE)?;
     warnings.extend(radiosity::warnings(scene, &solution, rows));

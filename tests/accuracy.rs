@@ -6,7 +6,7 @@ use common::{Files, device};
 use twopass::accuracy::{Achieved, Rendered, View, render_to_error};
 use twopass::emitters::Emitters;
 use twopass::image::{Image, relative_rmse_halves};
-use twopass::pipeline::{Pass1, solve_within};
+use twopass::pipeline::{Pass1, reached, solve_within};
 use twopass::render::{Estimator, Method, Quality, Settings, render, sees_no_emitter};
 use twopass::scene::{Camera, Scene};
 use twopass::visibility::Visibility;
@@ -37,7 +37,8 @@ fn settings(method: Method, spp: u32, seed: u32) -> Settings {
 
 fn view<'a, 's>(visibility: &'a Visibility<'s>, emitters: &'a Emitters, camera: &'a Camera) -> View<'a, 's> {
     let settings = settings(Method::TwoPass(Quality::Gather), 1, 0);
-    View { visibility, emitters, view_points: std::slice::from_ref(camera), camera, settings, limit: None }
+    let reached = reached(visibility, std::slice::from_ref(camera), 0, &|_| ());
+    View { visibility, emitters, reached, camera, settings, limit: None }
 }
 
 fn rendered(view: &View, error: f64, seed: u32) -> Rendered {

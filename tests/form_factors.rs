@@ -8,7 +8,7 @@ mod common;
 
 use common::*;
 use rayon::ThreadPoolBuilder;
-use twopass::form_factor::{Casting, ExchangeMatrix, ObjectTable, cast};
+use twopass::form_factor::{AtSpecular, Casting, ExchangeMatrix, ObjectTable, cast};
 use twopass::mesh::{Mesh, Sides};
 use twopass::scene::Scene;
 use twopass::visibility::Visibility;
@@ -36,7 +36,7 @@ fn rows(scene: &Scene, size: f64, rays: u32, seed: u32) -> (Mesh, ExchangeMatrix
         rays,
         batches: BATCHES,
         seed,
-        specular: false,
+        specular: AtSpecular::End,
         reached: None,
         emitters: None,
         progress: &|_| {},
@@ -198,7 +198,7 @@ fn neighbours_have_uncorrelated_errors() {
             rays,
             batches,
             seed,
-            specular: false,
+            specular: AtSpecular::End,
             reached: None,
             emitters: None,
             progress: &|_| {},

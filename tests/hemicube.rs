@@ -4,7 +4,7 @@ mod common;
 
 use common::*;
 use twopass::form_factor::{
-    Casting, ExchangeMatrix, HemicubeErrors, HemicubeSettings, ObjectTable, cast, hemicube,
+    AtSpecular, Casting, ExchangeMatrix, HemicubeErrors, HemicubeSettings, ObjectTable, cast, hemicube,
 };
 use twopass::mesh::{Mesh, Sides};
 use twopass::scene::Scene;
@@ -215,7 +215,7 @@ fn agrees_with_ray_casting() {
         rays: 4096,
         batches: 16,
         seed: 3,
-        specular: false,
+        specular: AtSpecular::End,
         reached: None,
         emitters: None,
         progress: &|_| {},

@@ -6,7 +6,7 @@
 mod common;
 
 use common::*;
-use twopass::form_factor::{Casting, ExchangeMatrix, ObjectTable, cast, cast_images, pass_on};
+use twopass::form_factor::{AtSpecular, Casting, ExchangeMatrix, ObjectTable, cast, cast_images, pass_on};
 use twopass::mesh::{Mesh, Sides};
 use twopass::scene::Scene;
 use twopass::visibility::Visibility;
@@ -29,7 +29,7 @@ fn matrix(scene: &Scene, mirror: Mirror, rays: u32) -> twopass::Result<(Mesh, Ex
                 rays,
                 batches: 16,
                 seed: 5,
-                specular: true,
+                specular: AtSpecular::GoOn,
                 reached: None,
                 emitters: None,
                 progress: &|_| {},

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 use twopass::embree::Device;
 use twopass::emitters::Emitters;
-use twopass::form_factor::{Casting, cast};
+use twopass::form_factor::{AtSpecular, Casting, cast};
 use twopass::hard_cases::build::{Point, SceneText, plate, turned};
 use twopass::mesh::{Mesh, Sides};
 use twopass::pipeline::{self, Pass1, Pass1Result};
@@ -143,7 +143,7 @@ fn factors_are_shares_and_reciprocal() {
             rays: 1024,
             batches: 16,
             seed: 5,
-            specular: false,
+            specular: AtSpecular::End,
             reached: None,
             emitters: None,
             progress: &|_| {},

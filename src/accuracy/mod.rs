@@ -12,7 +12,8 @@ mod pilot;
 
 use crate::emitters::Emitters;
 use crate::image::Image;
-use crate::pipeline::{Event, Observer, Pass1, Pass1Result, Stage, merge, solve_within, stage};
+use crate::mesh::Sides;
+use crate::pipeline::{Event, Observer, Pass1, Pass1Result, Stage, merge, solve_reached, stage};
 use crate::radiosity::UNCERTAIN;
 use crate::render::{Method, Quality, Settings, render};
 use crate::sampling::seed_of;
@@ -32,12 +33,28 @@ const SYSTEMATIC: f64 = 0.7;
 const UNSURE: f64 = 0.25;
 /// Most work of the pilot's next step to learn whether a plan will do, over the work of that plan.
 const KNOWING: f64 = 1.0;
+/// Most work of it, over that of the next level, before which it comes: finer elements do not make noise smaller.
+const EAGER: f64 = 2.0;
+/// Part of a plan's rays and samples that the first pair of halves gets, where these are many: what is missing is known better
+/// from its noise than from the pilot's.
+const FIRST: u32 = 4;
+/// Samples of a plan from which these are many.
+const MANY_SAMPLES: u32 = 16;
 /// Time of an element of pass 1 in rays of its row, beside these. Measured: 35 and 0.24 microseconds.
 const ELEMENT: f64 = 150.0;
 /// Time of a ray of pass 2 over that of one of pass 1, whose packets are coherent. Measured: 0.32 and 0.19 microseconds.
 const RAY: f64 = 1.7;
 /// Time of a sample of pass 2 beside its rays, in rays of pass 1.
 const SAMPLE: f64 = 1.8;
+/// Time of a ray of pass 1 over specular surfaces, or that samples an emitter, over that of one of an element's own.
+/// Measured: 0.7 and 0.24 microseconds.
+const SINGLE: f64 = 3.0;
+/// Largest share of a plan's cost at which another, with what it takes to know it, is worth looking for.
+const HOPE: f64 = 0.5;
+/// Levels that the pilot looks ahead, for finer elements that might do.
+const AHEAD: u32 = 3;
+/// Least and most of what is left of a squared error on the next level, as far as can be told from two.
+const FALL: (f64, f64) = (0.1, 0.7);
 /// Fewest rays an element in a half.
 const FEWEST_RAYS: f64 = 64.0;
 /// Most rays an element in a half.
@@ -55,8 +72,8 @@ pub struct View<'a, 's> {
     pub visibility: &'a Visibility<'s>,
     /// Its emitters.
     pub emitters: &'a Emitters,
-    /// Cameras that pass 1 knows.
-    pub view_points: &'a [Camera],
+    /// Sides that light or a camera can reach.
+    pub reached: Sides,
     /// The camera.
     pub camera: &'a Camera,
     /// What pass 2 does apart from quality, samples and seed.
@@ -132,7 +149,7 @@ struct Plan {
 /// Renders a picture whose relative RMSE is at most `error`, within (0, 1), as far as can be told.
 ///
 /// # Errors
-/// As pass 1 ([`solve_within`]); and where no pixel has light from anything but lamps in view.
+/// As pass 1 ([`solve_reached`]); and where no pixel has light from anything but lamps in view.
 pub fn render_to_error(
     view: &View,
     error: f64,
@@ -170,15 +187,16 @@ fn prepare<'a, 's>(
         if finer && pilot.levels.len() < 2 {
             continue;
         }
+        let early = finer && pilot.levels.len() < 3;
         // Where nobody knows, more rays may tell what finer elements do not, and sooner.
-        while let Some((noise, cost)) = worth_knowing(&pilot, view.camera, aim) {
-            if cost > pilot.cost_to_refine() || !pilot.sharpen(noise)? {
+        while let Some((noise, cost)) = worth_knowing(&pilot, view.camera, aim).filter(|_| !early) {
+            if cost > EAGER * pilot.cost_to_refine() || !pilot.sharpen(noise)? {
                 break;
             }
         }
         let best = cheapest(&pilot, view.camera, aim, UNSURE);
         let last = &pilot.levels[pilot.levels.len() - 1];
-        let useless = best.is_some_and(|b| b.cost < 2.0 * pilot.cost_to_refine());
+        let useless = best.is_some_and(|b| !early && !worth_refining(&pilot, view.camera, aim, b.cost));
         if !finer || useless || 4 * last.elements > MOST_ELEMENTS {
             break;
         }
@@ -194,17 +212,32 @@ fn prepare<'a, 's>(
     Ok((pilot, plan))
 }
 
+/// Whether finer elements might lead to a plan that saves more than it takes to know it, if errors go on to fall as they do.
+fn worth_refining(pilot: &Pilot, camera: &Camera, aim: f64, cost: f64) -> bool {
+    let last = pilot.levels.len() - 1;
+    (0..Quality::ALL.len()).any(|quality| {
+        let [before, mut bias] = [last - 1, last].map(|level| pilot.bias(quality, level).value.max(0.0));
+        let falls = (bias / before.max(f64::MIN_POSITIVE)).clamp(FALL.0, FALL.1);
+        let (mut on_the_way, mut step) = (0.0, pilot.cost_to_refine());
+        (1..=AHEAD).any(|finer| {
+            (on_the_way, step, bias) = (on_the_way + step, 4.0 * step, bias * falls);
+            let variance = aim - bias;
+            bias <= SYSTEMATIC * aim
+                && on_the_way < HOPE * cost
+                && on_the_way + fill(pilot, camera, (quality, last, finer), variance).cost < HOPE * cost
+        })
+    })
+}
+
 /// Where no plan is known to do: what hides whether the cheapest does that might, and what it costs to know, unless that is
 /// more than the plan itself.
 fn worth_knowing(pilot: &Pilot, camera: &Camera, aim: f64) -> Option<(Noise, f64)> {
     if cheapest(pilot, camera, aim, UNSURE).is_some() {
         return None;
     }
-    let all = (0..Quality::ALL.len()).flat_map(|q| (0..pilot.levels.len()).map(move |l| (q, l)));
-    let hopes = all.filter_map(|(q, l)| {
-        let bias = pilot.bias(q, l);
-        let may_do = bias.value - 2.0 * bias.error <= SYSTEMATIC * aim && bias.error > UNSURE * aim;
-        let cost = || fill(pilot, camera, (q, l, bias), (1.0 - 0.5 * SYSTEMATIC) * aim).cost;
+    let hopes = pilot.biases().filter_map(|(q, l, bias)| {
+        let may_do = bias.value - 2.0 * bias.error <= SYSTEMATIC * aim && !bias.is_known(aim, UNSURE);
+        let cost = || fill(pilot, camera, (q, l, 0), (1.0 - 0.5 * SYSTEMATIC) * aim).cost;
         may_do.then(|| (cost(), pilot.sharper(q, l)))
     });
     let affordable = hopes.filter(|(plan, (_, cost))| *cost <= KNOWING * plan);
@@ -213,40 +246,26 @@ fn worth_knowing(pilot: &Pilot, camera: &Camera, aim: f64) -> Option<(Noise, f64
 
 /// The cheapest plan that should meet a squared error, of those whose discretisation is known to a share `unsure` of it.
 fn cheapest(pilot: &Pilot, camera: &Camera, aim: f64, unsure: f64) -> Option<Plan> {
-    let mut best: Option<Plan> = None;
-    for quality in 0..Quality::ALL.len() {
-        for level in 0..pilot.levels.len() {
-            let bias = pilot.bias(quality, level);
-            if bias.safe() > SYSTEMATIC * aim || bias.error > unsure * aim {
-                continue;
-            }
-            let plan = fill(pilot, camera, (quality, level, bias), aim - bias.safe());
-            if best.is_none_or(|b| plan.cost < b.cost) {
-                best = Some(plan);
-            }
-        }
-    }
-    best
+    let all = pilot.biases();
+    let enough = all.filter(|(_, _, bias)| bias.safe() <= SYSTEMATIC * aim && bias.is_known(aim, unsure));
+    let plans = enough.map(|(q, l, bias)| Plan { bias, ..fill(pilot, camera, (q, l, 0), aim - bias.safe()) });
+    plans.min_by(|a, b| a.cost.total_cmp(&b.cost))
 }
 
 /// Where nothing meets the aim: the plan with the smallest systematic error.
 fn least_wrong(pilot: &Pilot, camera: &Camera, aim: f64) -> Plan {
-    let all = (0..Quality::ALL.len()).flat_map(|q| (0..pilot.levels.len()).map(move |l| (q, l)));
-    let rated = all.map(|(q, l)| (q, l, pilot.bias(q, l)));
-    let best = rated.min_by(|a, b| a.2.safe().total_cmp(&b.2.safe())).unwrap_or_default();
-    fill(pilot, camera, best, (1.0 - SYSTEMATIC) * aim)
+    let best = pilot.biases().min_by(|a, b| a.2.safe().total_cmp(&b.2.safe()));
+    let (quality, level, bias) = best.unwrap_or_default();
+    Plan { bias, ..fill(pilot, camera, (quality, level, 0), (1.0 - SYSTEMATIC) * aim) }
 }
 
-/// Rays and samples whose noise takes the given variance at the least cost.
-fn fill(
-    pilot: &Pilot,
-    camera: &Camera,
-    (quality, level, bias): (usize, usize, Square),
-    variance: f64,
-) -> Plan {
+/// Rays and samples whose noise takes the given variance at the least cost, on a level or so many levels `finer`.
+fn fill(pilot: &Pilot, camera: &Camera, (quality, level, finer): (usize, usize, u32), variance: f64) -> Plan {
     let pixels = f64::from(camera.size[0]) * f64::from(camera.size[1]);
     let of_pass1 = pilot.noise_of_pass1(quality, level);
-    let ray = pilot.levels[level].rays;
+    let ray = pilot.levels[level].cost_of_ray() * f64::from(4u32.pow(finer));
+    let element = ELEMENT * pilot.levels[level].elements as f64 * f64::from(4u32.pow(finer));
+    let bias = Square::default();
     let sample = (SAMPLE + RAY * pilot.rays_per_sample(quality)) * pixels;
     let plan = |spp: u32| {
         // Two halves: their mean has half the variance of each.
@@ -255,7 +274,7 @@ fn fill(
         // Where samples alone cannot do, pass 1 need not be better than they are.
         let rays = 0.5 * of_pass1 / if rest > 0.0 { rest } else { noise };
         let rays = rays.clamp(FEWEST_RAYS, MOST_RAYS).ceil();
-        let cost = 2.0 * (ray * (rays + ELEMENT) + sample * f64::from(spp));
+        let cost = 2.0 * (ray * rays + element + sample * f64::from(spp));
         (rest > 0.0, Plan { quality, level, bias, rays: rays as u32, spp, cost })
     };
     let mut best: Option<Plan> = None;
@@ -310,7 +329,8 @@ fn finish(
     let level = &pilot.levels[plan.level];
     let [width, height] = view.camera.size;
     let mut halves = Halves { sums: [Vec::new(), Vec::new()], weight: 0.0 };
-    let (mut rays, mut spp) = (plan.rays, plan.spp);
+    let part = if plan.spp >= MANY_SAMPLES { FIRST } else { 1 };
+    let (mut rays, mut spp) = ((plan.rays / part).max(FEWEST_RAYS as u32), plan.spp / part);
     let (mut all_rays, mut all_spp, mut pair) = (0u64, 0u32, 0u32);
     let mut warnings: Vec<String> = Vec::new();
     let mut dropped = 0.0f64;
@@ -318,10 +338,10 @@ fn finish(
         let mut half = |half: u32, stages: &mut Vec<Stage>| -> Result<(Image, Pass1Result, Pass1)> {
             let seed = seed_of(&[seed, pair, half, 0xacc0]);
             let settings = Pass1 { rays, element_size: Some(level.element_size), seed };
-            let (limit, points) = (view.limit, view.view_points);
+            let (limit, reached) = (view.limit, &view.reached);
             let mut own = Vec::new();
             let result =
-                solve_within(limit, view.visibility, view.emitters, points, &settings, observer, &mut own)?;
+                solve_reached(limit, view.visibility, view.emitters, reached, &settings, observer, &mut own)?;
             let method = Method::TwoPass(Quality::ALL[plan.quality]);
             let picture = Settings { method, spp, seed, ..view.settings };
             let pixels = u64::from(width) * u64::from(height);
@@ -353,7 +373,7 @@ fn finish(
         let (square, mean) = pilot::difference(&together[0], &together[1], mask);
         let noise = 0.25 * square / (mean * mean);
         // Where nobody knows, the worst is said.
-        let known = plan.bias.error <= UNSURE * (AIM * error).powi(2);
+        let known = plan.bias.is_known((AIM * error).powi(2), UNSURE);
         let bias = if known { plan.bias.value.max(0.0) } else { plan.bias.safe() };
         let total = (noise + bias).sqrt();
         let met = noise + plan.bias.safe() <= (MET * error).powi(2);

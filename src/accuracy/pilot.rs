@@ -7,11 +7,11 @@
 //! to as elements become finer: its values on the two finest levels, extrapolated. Every difference is taken
 //! between pictures with the same view rays, which cancels most of the noise beforehand.
 
-use super::{ELEMENT, MOST_RAYS, MOST_SAMPLES, RAY, SAMPLE, View};
+use super::{ELEMENT, MOST_RAYS, MOST_SAMPLES, RAY, SAMPLE, SINGLE, View};
 use crate::color::Rgb;
 use crate::image::Image;
-use crate::mesh::default_element_size;
-use crate::pipeline::{Pass1, Stage, solve_within};
+use crate::mesh::{Mesh, default_element_size};
+use crate::pipeline::{Pass1, Stage, solve_reached};
 use crate::radiosity::Solution;
 use crate::render::{Method, Quality, Settings, render_pixels, sees_no_emitter};
 use crate::sampling::seed_of;
@@ -25,9 +25,12 @@ const COARSE: f64 = 0.025;
 const FINE: f64 = 0.006;
 /// Element size of the first level over [`default_element_size`]: some hundred elements in a simple room.
 const COARSEST: f64 = 4.0;
-/// Extrapolation from the two finest levels: with an error that falls as the element size to the power p, the finest is
-/// off by this times their difference, 1 / (2^p - 1). Measured: p is 1.1 to 1.3 for gathering.
-const BEYOND: f64 = 0.8;
+/// Differences between two levels of gathered pictures over those between the next coarser two, 2^-p where errors fall as the
+/// element size to the power p: the least and the most that are believed, and what is taken where noise hides it. Measured: 0.4 to
+/// 0.5 in one room, up to 0.75 with coarse elements among many objects.
+const SHRINK: (f64, f64, f64) = (0.44, 0.67, 0.5);
+/// Elements of the level that has [`Pilot::fewest_rays`].
+const MANY: f64 = 1024.0;
 /// Share of the pixels at which noise is measured where that is dear.
 const SHARE: usize = 4;
 /// Samples a pixel at which noise is measured; the last at fewer pixels.
@@ -46,6 +49,11 @@ impl Square {
     /// What may be counted on: the estimate, where it is not below zero, and one standard error.
     pub fn safe(&self) -> f64 {
         self.value.max(0.0) + self.error
+    }
+
+    /// Its standard error is at most a share `unsure` of a squared aim.
+    pub fn is_known(&self, aim: f64, unsure: f64) -> bool {
+        self.error <= unsure * aim
     }
 }
 
@@ -85,21 +93,27 @@ pub(super) struct Level {
     /// Elements.
     pub elements: usize,
     /// Rays of pass 1 for each ray an element.
-    pub rays: f64,
+    rays: f64,
     /// Rays an element.
     rays_each: u32,
     /// By quality.
     sampled: [Sampled; 3],
 }
 
+impl Level {
+    /// What a ray an element costs, with all that it brings about \[rays\].
+    pub fn cost_of_ray(&self) -> f64 {
+        let own = self.elements as f64;
+        own + SINGLE * (self.rays - own).max(0.0)
+    }
+}
+
 /// All that is known before the picture is rendered; squared errors are relative to the squared mean of the pixels.
 pub(super) struct Pilot<'a, 's> {
     view: &'a View<'a, 's>,
     seed: u32,
-    /// Rays an element at least.
+    /// Rays an element where there are many elements.
     fewest_rays: u32,
-    /// Rays an element of the third level; a level has half of those of the one before.
-    rays: u32,
     spp: u32,
     pub pixels: Vec<[u32; 2]>,
     /// One in [`SHARE`] of them.
@@ -118,24 +132,27 @@ impl<'a, 's> Pilot<'a, 's> {
         let (pixels, rays, spp) = match error {
             e if e < FINE => (PIXELS, 1024, 16),
             e if e < COARSE => (PIXELS, 256, 8),
-            _ => (PIXELS / 2, 256, 4),
+            _ => (PIXELS / 2, 128, 4),
         };
         let pixels = choose_pixels(view.camera.size, mask, pixels, seed);
         let few = pixels.iter().step_by(SHARE).copied().collect();
         let noise = Default::default();
         let levels = Vec::new();
-        Pilot { view, seed, fewest_rays: rays, rays, spp, pixels, few, levels, noise, cast: 0 }
+        Pilot { view, seed, fewest_rays: rays, spp, pixels, few, levels, noise, cast: 0 }
     }
 
-    /// Rays an element of a level. Few elements have much noise in common between the pixels of each.
-    fn rays_of(&self, level: usize) -> u32 {
-        (self.rays << 2 >> level.min(16)).max(self.fewest_rays)
+    /// Rays of each of so many elements. Few elements have much noise in common between the pixels of each.
+    fn rays_of(&self, elements: f64) -> u32 {
+        let more = (MANY / elements.max(1.0)).sqrt().clamp(0.5, 4.0);
+        (f64::from(self.fewest_rays) * more) as u32 / 16 * 16
     }
 
     /// What another level costs: two solves of four times as many elements \[rays\].
     pub fn cost_to_refine(&self) -> f64 {
-        let last = self.levels.last().map_or(0.0, |l| l.rays);
-        8.0 * last * (f64::from(self.rays_of(self.levels.len())) + ELEMENT)
+        self.levels.last().map_or(0.0, |l| {
+            let elements = 4.0 * l.elements as f64;
+            2.0 * (4.0 * l.cost_of_ray() * f64::from(self.rays_of(elements)) + elements * ELEMENT)
+        })
     }
 
     /// What to have four times as many of, so that a systematic error is better known, and what that costs \[rays\];
@@ -150,22 +167,20 @@ impl<'a, 's> Pilot<'a, 's> {
         let of_pass2 = if quality == 2 { 0.0 } else { self.noise(2, self.spp) };
         let noise = if of_pass1 > of_pass2 { Noise::Pass1 } else { Noise::Pass2 };
         let (more_rays, more_samples) = noise.growth();
-        if f64::from(self.rays_of(0) * more_rays) > MOST_RAYS || self.spp * more_samples > MOST_SAMPLES {
+        if f64::from(4 * self.fewest_rays * more_rays) > MOST_RAYS || self.spp * more_samples > MOST_SAMPLES {
             return (noise, f64::INFINITY);
         }
         let samples = 2.25 * self.pixels.len() as f64 * f64::from(self.spp * more_samples);
         let pass2: f64 = (0..3).map(|q| samples * (SAMPLE + RAY * self.rays_per_sample(q))).sum();
-        let levels = self.levels.iter().enumerate();
-        let cost = levels
-            .map(|(k, l)| 2.0 * l.rays * (f64::from(self.rays_of(k) * more_rays) + ELEMENT) + pass2)
-            .sum();
+        let pass1 =
+            |l: &Level| l.cost_of_ray() * f64::from(l.rays_each * more_rays) + l.elements as f64 * ELEMENT;
+        let cost = self.levels.iter().map(|l| 2.0 * pass1(l) + pass2).sum();
         (noise, cost)
     }
 
     /// Looks at all levels anew with less of a noise; `false` where memory forbids it.
     pub fn sharpen(&mut self, noise: Noise) -> Result<bool> {
         let (more_rays, more_samples) = noise.growth();
-        self.rays *= more_rays;
         self.fewest_rays *= more_rays;
         self.spp *= more_samples;
         let count = self.levels.len();
@@ -182,16 +197,15 @@ impl<'a, 's> Pilot<'a, 's> {
     pub fn refine(&mut self) -> Result<bool> {
         let scene = self.view.visibility.scene();
         let element_size = COARSEST * default_element_size(scene) * 0.5f64.powi(self.levels.len() as i32);
-        let rays_each = self.rays_of(self.levels.len());
+        let rays_each = self.rays_of(Mesh::uniform_len(scene, &self.view.reached, element_size) as f64);
         let mut runs = Vec::new();
         let mut rays = 0;
         for run in 0..2 {
             let settings =
                 Pass1 { rays: rays_each, element_size: Some(element_size), seed: self.seed_of(run) };
             let mut stages: Vec<Stage> = Vec::new();
-            let View { visibility, emitters, view_points, limit, .. } = *self.view;
-            let solved =
-                solve_within(limit, visibility, emitters, view_points, &settings, &|_| (), &mut stages);
+            let &View { visibility, emitters, ref reached, limit, .. } = self.view;
+            let solved = solve_reached(limit, visibility, emitters, reached, &settings, &|_| (), &mut stages);
             rays += stages.iter().map(|s| s.rays).sum::<u64>();
             runs.push(match solved {
                 Err(Error::Usage(_)) if self.levels.len() > 1 => return Ok(false),
@@ -260,7 +274,7 @@ impl<'a, 's> Pilot<'a, 's> {
             return v[k + 1].max(v[k]);
         }
         let power = (v[k] / v[k + 1]).ln() / (m / n).ln();
-        v[k + 1] * (m / f64::from(spp)).powf(power.clamp(0.5, 2.0))
+        v[k + 1] * (m / f64::from(spp)).powf(power.clamp(1.0, 2.0))
     }
 
     /// Variance of a pixel by pass 1 with one ray an element, relative.
@@ -277,14 +291,41 @@ impl<'a, 's> Pilot<'a, 's> {
         self.levels[0].sampled[quality].rays
     }
 
+    /// Squared systematic errors of every quality on every level.
+    pub fn biases(&self) -> impl Iterator<Item = (usize, usize, Square)> {
+        let all = (0..Quality::ALL.len()).flat_map(|q| (0..self.levels.len()).map(move |l| (q, l)));
+        all.map(|(q, l)| (q, l, self.bias(q, l)))
+    }
+
+    /// By what times the difference of the two finest levels the gathered pictures of the finest are off: the geometric series of
+    /// what is yet to come.
+    fn beyond(&self) -> f64 {
+        let gathered = |level: usize, run: usize| &self.levels[level].sampled[2].runs[run];
+        let step = |fine: usize| {
+            let [a, b] = [0, 1].map(|run| minus(gathered(fine, run), gathered(fine - 1, run)));
+            product(&a, &b)
+        };
+        let last = self.levels.len() - 1;
+        let (least, most, otherwise) = SHRINK;
+        let mut shrink = otherwise;
+        if last >= 2 {
+            let (now, before) = (step(last), step(last - 1));
+            if now.value > 2.0 * now.error && before.value > 2.0 * before.error {
+                shrink = (now.value / before.value).sqrt().clamp(least, most);
+            }
+        }
+        shrink / (1.0 - shrink)
+    }
+
     /// Squared systematic error of a quality on a level, relative; needs two levels.
     pub fn bias(&self, quality: usize, level: usize) -> Square {
         let [.., coarse, fine] = &self.levels[..] else { return Square { value: f64::INFINITY, error: 0.0 } };
+        let beyond = self.beyond();
         let differences: Vec<Vec<Rgb>> = (0..2)
             .map(|run| {
                 let (fine, coarse) = (&fine.sampled[2].runs[run], &coarse.sampled[2].runs[run]);
                 let x = &self.levels[level].sampled[quality].runs[run];
-                let limit = fine.iter().zip(coarse).map(|(f, c)| *f + BEYOND * (*f - *c));
+                let limit = fine.iter().zip(coarse).map(|(f, c)| *f + beyond * (*f - *c));
                 x.iter().zip(limit).map(|(x, limit)| *x - limit).collect()
             })
             .collect();

@@ -4,7 +4,7 @@ use super::record::{Chart, Figure, PARAMETER, Subject, Unit};
 use super::{Context, Measurements, embedded, pool, rounds, thread_counts, threads_in_words};
 use crate::Result;
 use crate::embree::{Queries, Ray, Width};
-use crate::form_factor::{Casting, cast, packets_of};
+use crate::form_factor::{AtSpecular, Casting, cast, packets_of};
 use crate::mesh::{Mesh, Sides, default_element_size};
 use crate::sampling::{SobolTable, seed_of};
 use crate::scene::Features;
@@ -76,9 +76,9 @@ fn scene(context: &Context, name: &str) -> Result<(Subject, Vec<Figure>)> {
             });
             let rate = |specular| pool.install(|| stage_rate(&visibility, &mesh, rays, seed, specular));
             // What comes first finds warmer or colder caches: each comes first in turn.
-            let first = (diffuse && seed % 2 == 1).then(|| rate(true));
-            let stage = rate(false);
-            let chains = first.or_else(|| diffuse.then(|| rate(true)));
+            let first = (diffuse && seed % 2 == 1).then(|| rate(AtSpecular::GoOn));
+            let stage = rate(AtSpecular::End);
+            let chains = first.or_else(|| diffuse.then(|| rate(AtSpecular::GoOn)));
             if !counts {
                 return Ok(());
             }
@@ -169,8 +169,8 @@ fn embree_rate(visibility: &Visibility, mesh: &Mesh, rays: u32, seed: u32, call:
     count as f64 / seconds * rayon::current_num_threads() as f64
 }
 
-/// Rays a second of the whole stage; with `specular`, rays go on wherever a surface asks for it.
-fn stage_rate(visibility: &Visibility, mesh: &Mesh, rays: u32, seed: u32, specular: bool) -> f64 {
+/// Rays a second of the whole stage; `specular` tells what rays do where a surface asks them to go on.
+fn stage_rate(visibility: &Visibility, mesh: &Mesh, rays: u32, seed: u32, specular: AtSpecular) -> f64 {
     let casting =
         Casting { rays, batches: 1, seed, specular, reached: None, emitters: None, progress: &|_| () };
     let start = Instant::now();

@@ -4,7 +4,7 @@ use super::record::{Chart, Figure, PARAMETER, Subject, Unit};
 use super::{Context, Files, Measurements, rounds};
 use crate::color::Rgb;
 use crate::emitters::Emitters;
-use crate::form_factor::{Casting, cast};
+use crate::form_factor::{AtSpecular, Casting, cast};
 use crate::mesh::{Mesh, Sides};
 use crate::pipeline::{self, Pass1};
 use crate::radiosity::{Solution, Transport, solve_irradiance};
@@ -384,7 +384,7 @@ fn solver(context: &Context) -> Result<Subject> {
         rays: 1024,
         batches: 4,
         seed: context.settings.seed,
-        specular: false,
+        specular: AtSpecular::End,
         reached: None,
         emitters: None,
         progress: &|_| (),

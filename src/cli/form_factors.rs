@@ -7,8 +7,8 @@ use super::render::pass1;
 use crate::embree::Device;
 use crate::form_factor::export::{self, View};
 use crate::form_factor::{
-    Casting, Enforce, Factors, Found, HemicubeErrors, HemicubeSettings, Request, cast_images, cast_rows,
-    correct, estimate, hemicube, unoccluded,
+    AtSpecular, Casting, Enforce, Factors, Found, HemicubeErrors, HemicubeSettings, Request, cast_images,
+    cast_rows, correct, estimate, hemicube, unoccluded,
 };
 use crate::image::{self, WriteOptions};
 use crate::mesh::{Mesh, Sides, default_element_size};
@@ -206,7 +206,10 @@ impl Run<'_> {
                         rays: settings.rays,
                         batches: BATCHES,
                         seed: settings.seed,
-                        specular: self.args.mirror == MirrorArg::Chain,
+                        specular: match self.args.mirror {
+                            MirrorArg::Chain => AtSpecular::GoOn,
+                            _ => AtSpecular::End,
+                        },
                         reached: None,
                         emitters: None,
                         progress: &advance,

@@ -119,10 +119,11 @@ impl<'s> Ready<'_, 's> {
             warnings.extend_from_slice(found);
         };
         if let Some(error) = args.error {
+            let reach = || pipeline::reached(visibility, &view_points, args.common.seed, observer);
             let view = View {
                 visibility,
                 emitters,
-                view_points: &view_points,
+                reached: pipeline::building(stages, reach),
                 camera: &cameras[0].1,
                 settings,
                 limit: args.memory.limit(),

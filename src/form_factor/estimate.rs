@@ -2,7 +2,7 @@
 
 use super::found::{Estimates, Found};
 use super::pairs::{self, FewPairs, PairFactors, PairWork, Surfaces};
-use super::{Casting, ExchangeMatrix, ObjectTable, analytic, cast};
+use super::{AtSpecular, Casting, ExchangeMatrix, ObjectTable, analytic, cast};
 use crate::mesh::Mesh;
 use crate::scene::Scene;
 use crate::visibility::Visibility;
@@ -60,7 +60,7 @@ pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Foun
             rays,
             batches: BATCHES,
             seed: request.seed,
-            specular: false,
+            specular: AtSpecular::End,
             reached: None,
             emitters: None,
             progress: request.progress,

@@ -1,6 +1,6 @@
 //! Where rays land: the element and the kind of surface of each hit.
 
-use super::raycast::Casting;
+use super::raycast::{AtSpecular, Casting};
 use crate::embree::{Hits, LANES, RayLanes};
 use crate::mesh::{Mesh, NONE};
 use crate::scene::Scene;
@@ -42,10 +42,11 @@ pub(super) struct Landing {
 
 impl Targets {
     pub(super) fn new(scene: &Scene, mesh: &Mesh, casting: &Casting) -> Targets {
+        let follow = casting.specular != AtSpecular::End;
         let kind = |k: u32, front: bool| {
             let material = scene.material(&scene.faces[k as usize]);
             let emitter = casting.emitters.is_some_and(|(e, _)| !e.are_few() && e.at(k, front).is_some());
-            let specular = casting.specular && material.is_specular() && (front || material.two_sided);
+            let specular = follow && material.is_specular() && (front || material.two_sided);
             // A specular side leads on wherever it is; only a side that would end the ray can prove it covered.
             let unreached = !specular && casting.reached.is_some_and(|r| !r.contains(k, front));
             let absorbed = !specular && mesh.first(k, front) == NONE;

@@ -31,7 +31,7 @@ pub use hemicube::{DeltaFactors, HemicubeErrors, HemicubeSettings, MOST_PIXELS, 
 pub use matrix::{ExchangeMatrix, RowSummary};
 pub use mirror::cast_images;
 pub use projection::ProjectionMap;
-pub use raycast::{Caster, Casting, cast, cast_random, cast_rows};
+pub use raycast::{AtSpecular, Caster, Casting, cast, cast_random, cast_rows};
 pub use recast::{Check, Recast, Rows};
 pub use rows::{Row, widen};
 pub use source::packets_of;

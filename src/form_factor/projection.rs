@@ -205,7 +205,7 @@ impl Look<'_, '_> {
             return (0.0, 0);
         }
         let mut arrived = 0.0;
-        let end = chains.follow(Carried::Power, ray, (point, seed_of(&[self.seed, 2])), |link| {
+        let end = chains.follow(Carried::Power, ray, (point, seed_of(&[self.seed, 2])), 1.0, |link| {
             let at = &link.hit;
             let counts =
                 link.passage == Passage::Chain && self.mesh.element(at.face, at.front, at.u, at.v) != NONE;

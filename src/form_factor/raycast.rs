@@ -28,6 +28,18 @@ use rayon::prelude::*;
 /// Elements that one task casts: small enough to share the work, large enough to hold a few groups of [`LANES`].
 const BLOCK: usize = 64;
 
+/// What becomes of rays that meet specular surfaces.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AtSpecular {
+    /// They are absorbed.
+    End,
+    /// Chains go on.
+    GoOn,
+    /// Chains go on, those of elements of small albedo less far, by Russian roulette: for radiosity, to which they bring
+    /// little.
+    GoOnByAlbedo,
+}
+
 /// How to cast.
 #[derive(Clone, Copy)]
 pub struct Casting<'a> {
@@ -37,8 +49,8 @@ pub struct Casting<'a> {
     pub batches: u32,
     /// Seed.
     pub seed: u32,
-    /// Let chains go on over specular surfaces; otherwise these block and absorb.
-    pub specular: bool,
+    /// What becomes of rays at specular surfaces.
+    pub specular: AtSpecular,
     /// Sides that light can reach: a ray that lands elsewhere started on a covered part of its
     /// element and does not count. None: every ray counts.
     pub reached: Option<&'a Sides>,
@@ -178,8 +190,8 @@ impl<'a, 's> Caster<'a, 's> {
         let scene = visibility.scene();
         let batches = casting.batches.max(casting.rays.div_ceil(MAX_POINTS)).clamp(1, casting.rays.max(1));
         let per_batch = casting.rays.max(1).div_ceil(batches);
-        let coloured =
-            casting.specular && scene.materials.iter().any(|m| m.is_specular() && !m.has_grey_specular());
+        let coloured = casting.specular != AtSpecular::End
+            && scene.materials.iter().any(|m| m.is_specular() && !m.has_grey_specular());
         Caster {
             visibility,
             mesh,
@@ -269,7 +281,7 @@ impl<'a, 's> Caster<'a, 's> {
             tally: Tally::new(self.channels),
             counts: Counts::new(self.mesh.len()),
             // Chains have weights; rays alone are counted.
-            builder: Builder::new(!self.casting.specular),
+            builder: Builder::new(self.casting.specular == AtSpecular::End),
             fates: Vec::new(),
             cast: 0,
         }
@@ -414,8 +426,8 @@ impl<'a, 's> Caster<'a, 's> {
             let chained = || scratch.chained[first..].iter().take_while(|c| c.0 == place);
             if let (Some(counts), None) = (&mut scratch.counts, chained().next()) {
                 counts.count(landed, |column, count| match self.casting.specular {
-                    false => builder.push_count(column, count),
-                    true => builder.push(column, &[count as f32; 3][..self.channels]),
+                    AtSpecular::End => builder.push_count(column, count),
+                    _ => builder.push(column, &[count as f32; 3][..self.channels]),
                 });
                 builder.end_batch();
                 continue;
@@ -481,12 +493,12 @@ mod tests {
                 rays: 96,
                 batches: 2,
                 seed: 1,
-                specular: true,
+                specular: AtSpecular::End,
                 reached: None,
                 emitters: None,
                 progress: &|_| (),
             };
-            for specular in [false, true] {
+            for specular in [AtSpecular::End, AtSpecular::GoOn, AtSpecular::GoOnByAlbedo] {
                 let mut caster = Caster::new(&visibility, &mesh, &Casting { specular, ..casting });
                 let rows = |caster: &Caster| {
                     let row = |block: &Block, k| {
@@ -498,7 +510,7 @@ mod tests {
                 let wide = rows(&caster);
                 caster.arch = Arch::Scalar;
                 assert!(wide.iter().flatten().flatten().count() > mesh.len());
-                assert!(rows(&caster) == wide, "{name}, specular {specular}");
+                assert!(rows(&caster) == wide, "{name}, {specular:?}");
             }
         }
     }

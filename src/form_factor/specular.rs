@@ -16,7 +16,7 @@ const LONGEST: u32 = 1024;
 const WEAK: f64 = 0.1;
 /// Chains longer than this play Russian roulette, whatever they carry.
 const LONG: u32 = 128;
-/// Chance that such a chain goes on.
+/// Chance that such a chain goes on. A smaller one would leave light that is caught in glass to few chains of great weight.
 const GOES_ON: f64 = 0.99;
 
 /// What a chain carries.
@@ -71,12 +71,14 @@ impl<'a, 's> Chains<'a, 's> {
 
     /// Follows the chain that begins where a ray from `origin` along `direction` met `hit`.
     ///
-    /// `visit` sees every surface after the first. `point` and `seed` name the random numbers.
+    /// `visit` sees every surface after the first. `point` and `seed` name the random numbers. `worth`, in (0, 1], is what
+    /// the light is multiplied by where the chain begins: one that counts for little need not be followed far.
     pub fn follow(
         &self,
         carried: Carried,
         (origin, direction, hit): (Vec3, Vec3, SurfaceHit),
         (point, seed): (u32, u32),
+        worth: f64,
         mut visit: impl FnMut(&Link),
     ) -> ChainEnd {
         let scene = self.visibility.scene();
@@ -107,7 +109,7 @@ impl<'a, 's> Chains<'a, 's> {
             if carried == Carried::Power {
                 weight *= s.power_factor(wo, at.geometric);
             }
-            let strength = color::mean(weight);
+            let strength = worth * color::mean(weight);
             let survive = if strength < WEAK { strength / WEAK } else { 1.0 };
             let survive = if k < LONG { survive } else { survive.min(GOES_ON) };
             if survive < 1.0 {

@@ -167,7 +167,7 @@ impl Tracer<'_, '_> {
             }
             let power = s.radiance * (PI / (s.density * aimed * f64::from(self.work.particles)));
             let numbers = (k, seed_of(&[seed, 2]));
-            let end = chains.follow(Carried::Power, (origin, direction, hit), numbers, |link| {
+            let end = chains.follow(Carried::Power, (origin, direction, hit), numbers, 1.0, |link| {
                 if link.passage != Passage::Chain {
                     return;
                 }

@@ -36,6 +36,8 @@ const NEAR: f64 = 1.5;
 const MOST_CHECKED: usize = 500;
 /// Samples that may be hidden, of those of a side that were not.
 const MISSED: f64 = 3.0;
+/// Share of the samples that go to all emitters alike.
+const EVENLY: f64 = 0.1;
 /// Smaller solid angles lose too many digits to be sampled.
 const LEAST_SOLID_ANGLE: f64 = 1e-6;
 
@@ -110,7 +112,10 @@ impl<'a, 's> Lamps<'a, 's> {
             return vec![EmitterIrradiance::default(); batches as usize];
         }
         let whole: Rgb = exact.iter().zip(&self.lamps).map(|(e, l)| *e * l.radiance).sum();
-        let chosen = Chosen { shares: strength.iter().map(|s| s / total).collect() };
+        // Of a weak emitter a small part may be above the horizon: samples of it must not be too few to say which.
+        let weak = EVENLY / strength.iter().filter(|s| **s > 0.0).count() as f64;
+        let share = |s: &f64| if *s > 0.0 { weak + (1.0 - EVENLY) * s / total } else { 0.0 };
+        let chosen = Chosen { shares: strength.iter().map(share).collect() };
         let sums: Vec<Sums> = (0..batches)
             .map(|b| self.batch(element, &chosen, count, seed_of(&[seed, element, b, 0x1a3])))
             .collect();
@@ -137,7 +142,12 @@ impl<'a, 's> Lamps<'a, 's> {
             let straight = sums[b].seen / n + beta * (whole - sums[b].all / n) + doubt(b);
             EmitterIrradiance { straight, ..Default::default() }
         };
-        (0..sums.len()).map(combine).collect()
+        let mut found: Vec<EmitterIrradiance> = (0..sums.len()).map(combine).collect();
+        // No more than all of an emitter can be seen, and no less than nothing. All randomisations move alike: their spread is true.
+        let mean = found.iter().map(|f| f.straight).sum::<Rgb>() / found.len() as f64;
+        let moved = mean.clamp(Rgb::ZERO, whole) - mean;
+        found.iter_mut().for_each(|f| f.straight += moved);
+        found
     }
 
     /// Whether some face could hide part of an emitter from a side of a face. A face cannot that has both of them on one
@@ -312,7 +322,30 @@ impl Triangle {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::embree::Device;
     use crate::form_factor::analytic::lambert;
+    use crate::mesh::Sides;
+
+    /// Where samples of an emitter miss what hides it, the estimate with the exact light as control variate may lie below zero; the
+    /// mean over the randomisations may not, whatever the seed.
+    #[test]
+    fn no_light_is_below_zero() {
+        let device = Device::new(1).expect("Embree");
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/scenes/kaleidoscope/kaleidoscope.toml");
+        let scene = crate::scene::load(std::path::Path::new(path)).expect("a scene of the project");
+        let visibility = Visibility::new(&device, &scene).expect("a tree");
+        let mesh = Mesh::new(&scene, &Sides::fronts(&scene), 0.04, false).expect("a mesh");
+        let emitters = Emitters::new(&visibility);
+        let lamps = Lamps::of(&visibility, &mesh, &emitters).expect("few emitters");
+        let mut below = 0;
+        for element in 0..mesh.len() as u32 {
+            let found = lamps.light(element, (4, 4), 1);
+            let mean = found.iter().map(|f| f.straight).sum::<Rgb>() / 4.0;
+            below += u32::from(found.iter().any(|f| f.straight.min_element() < 0.0));
+            assert!(mean.min_element() >= -1e-12 * mean.abs().max_element(), "element {element}: {mean}");
+        }
+        assert!(below > 0, "no randomisation puts it to the test");
+    }
 
     /// Means of cosines over samples in solid angle are Lambert's factor: near, far, and seen edge-on. 4,096 Sobol points: the
     /// bound is four times the standard error that independent points would have.

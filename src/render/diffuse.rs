@@ -8,7 +8,7 @@
 use super::guide::Guide;
 use super::landing::{EMITTER, SPECULAR};
 use super::{Context, Method, Quality, Sampler};
-use crate::color::Rgb;
+use crate::color::{self, Rgb};
 use crate::embree::{LANES, RayLanes, RayPacket, ShadowPacket};
 use crate::emitters::{Passage, connect, cosine_density, mis_share};
 use crate::form_factor::{Carried, Chains, Link};
@@ -31,6 +31,8 @@ pub(super) struct Spot<'m> {
     pub normal: DVec3,
     /// Numbers of its own.
     pub sampler: Sampler,
+    /// What its light is multiplied by.
+    pub scale: f64,
 }
 
 /// One side of a spot, over which light arrives.
@@ -41,6 +43,8 @@ struct Receiver<'g> {
     origin: Vec3,
     normal: DVec3,
     sampler: Sampler,
+    /// What its irradiance is multiplied by.
+    albedo: f64,
     /// Where its light comes from, as far as that is known.
     guide: Option<&'g Guide>,
 }
@@ -97,7 +101,7 @@ impl Context<'_, '_> {
             let passing = |m: &Material| m.diffuse_transmission;
             self.reflected(spots, -1.0, passing, shared.branch(7), gather, found);
         }
-        found[..spots.len()].iter_mut().for_each(|sum| *sum *= FRAC_1_PI);
+        found.iter_mut().zip(spots).for_each(|(sum, spot)| *sum *= FRAC_1_PI * spot.scale);
     }
 
     /// Adds the radiosity by light on the side seen (`side` 1) or the other one (-1), `albedo` times the irradiance.
@@ -120,6 +124,7 @@ impl Context<'_, '_> {
                 origin: self.visibility.leave(s.at.face, s.at.point, side * s.at.geometric),
                 normal: side * s.normal,
                 sampler: if side > 0.0 { s.sampler } else { s.sampler.branch(7) },
+                albedo: color::mean(albedo(s.material)),
                 guide: if gather { self.guide(&s.at, side) } else { None },
             })
             .collect();
@@ -211,7 +216,7 @@ impl Context<'_, '_> {
             let places = self.landings.places(&hits, &rays);
             for lane in numbers.lanes(count - base) {
                 let r = numbers.receiver(lane);
-                let &Receiver { face, origin, normal, sampler, .. } = &receivers[r];
+                let &Receiver { face, origin, normal, sampler, albedo, .. } = &receivers[r];
                 if hits.face[lane] != face && hits.face[lane] != u32::MAX && places.kind[lane] == 0 {
                     sum[r] += f64::from(weights[lane]) * self.interpolated_at(&places, lane);
                     continue;
@@ -223,7 +228,7 @@ impl Context<'_, '_> {
                         let number =
                             sampler.index.wrapping_mul(count).wrapping_add(numbers.point(lane, base));
                         let ray = (origin, direction, hit);
-                        self.arriving(&chains, ray, normal, (number, sampler.branch(9).seed))
+                        self.arriving(&chains, ray, (normal, albedo), (number, sampler.branch(9).seed))
                     }
                 };
                 sum[r] += f64::from(weights[lane]) * radiance;
@@ -253,14 +258,14 @@ impl Context<'_, '_> {
         (points, weights)
     }
 
-    /// Radiance that a hemisphere ray from a point with this `normal` brings from where it met a surface, of emission as far as
+    /// Radiance that a hemisphere ray from a point with this normal and albedo brings from where it met a surface, of emission as far as
     /// the emitters' own samples leave it [W m^-2 sr^-1]. The point and the seed name random numbers.
     #[inline(always)]
     pub(super) fn arriving(
         &self,
         chains: &Chains,
         (origin, direction, hit): (Vec3, Vec3, SurfaceHit),
-        normal: DVec3,
+        (normal, albedo): (DVec3, f64),
         random: (u32, u32),
     ) -> Rgb {
         let kind = self.landings.kind(&hit);
@@ -274,15 +279,16 @@ impl Context<'_, '_> {
             radiance += self.emitted(&hit, length, first, first.dot(normal));
         }
         if kind & SPECULAR != 0 {
-            let end = chains.follow(Carried::Radiance, (origin, direction, hit), random, |link: &Link| {
-                let Link { hit, weight, passage, length, direction } = *link;
-                let mut found = self.interpolated(&hit);
-                // Emission by longer chains is in the caustic part of the solution.
-                if passage != Passage::Chain {
-                    found += self.emitted(&hit, length, direction, first.dot(normal));
-                }
-                radiance += weight * found;
-            });
+            let end =
+                chains.follow(Carried::Radiance, (origin, direction, hit), random, albedo, |link: &Link| {
+                    let Link { hit, weight, passage, length, direction } = *link;
+                    let mut found = self.interpolated(&hit);
+                    // Emission by longer chains is in the caustic part of the solution.
+                    if passage != Passage::Chain {
+                        found += self.emitted(&hit, length, direction, first.dot(normal));
+                    }
+                    radiance += weight * found;
+                });
             self.cast(end.rays);
             radiance += end.escaped * self.scene.environment;
         }

@@ -195,7 +195,7 @@ impl Context<'_, '_> {
             let origin = self.visibility.leave(face, self.visibility.start(&place, s, t), normal);
             let direction = frame.to_scene(cosine_hemisphere(u, v)).as_vec3();
             let radiance = match self.visibility.closest(origin, direction, face) {
-                Some(hit) => self.arriving(&chains, (origin, direction, hit), normal, (k, seed)),
+                Some(hit) => self.arriving(&chains, (origin, direction, hit), (normal, 1.0), (k, seed)),
                 None => self.scene.environment,
             };
             let [r, c] = [u, v].map(|x| (x * CELLS as f64) as usize);

@@ -6,6 +6,7 @@ use crate::bsdf::{Scatter, Specular};
 use crate::color::{self, Rgb};
 use crate::embree::LANES;
 use crate::emitters::{Connection, connect, mis_share};
+use crate::scene::Material;
 use crate::visibility::{SurfaceHit, SurfacePoint};
 use glam::{DVec3, Vec3};
 
@@ -121,7 +122,17 @@ impl Context<'_, '_> {
             let surface = Specular::new(material, wo, normal, at.geometric, at.front);
             radiance += self.specular(&surface, &at, sight, sampler);
         }
-        (radiance, sampled.then_some(Spot { material, at, normal, sampler }))
+        let spot = |scale| Spot { material, at, normal, sampler, scale };
+        (radiance, if sampled { self.roulette(sight, material, sampler).map(spot) } else { None })
+    }
+
+    /// What diffuse light behind specular surfaces is scaled by; none where it loses Russian roulette, because it weighs little.
+    fn roulette(&self, sight: &Sight, material: &Material, sampler: Sampler) -> Option<f64> {
+        let survive = sight.weight * color::mean(material.diffuse + material.diffuse_transmission) / WEAK;
+        if sight.depth == 0 || survive >= 1.0 {
+            return Some(1.0);
+        }
+        (sampler.numbers(10)[0] < survive).then(|| 1.0 / survive)
     }
 
     fn specular(&self, surface: &Specular, at: &SurfacePoint, sight: &Sight, sampler: Sampler) -> Rgb {

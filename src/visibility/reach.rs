@@ -14,7 +14,7 @@
 
 use super::offset::shared_edges;
 use super::{SurfaceHit, Visibility};
-use crate::bsdf;
+use crate::bsdf::Specular;
 use crate::geometry::Frame;
 use crate::mesh::{Sides, side_index};
 use crate::sampling::{self, cosine_hemisphere, seed_of, sobol};
@@ -358,14 +358,15 @@ impl Walker<'_, '_> {
             if specular {
                 let q = sobol(step, 1, self.seed);
                 let wo = -direction;
-                match bsdf::sample_specular(material, wo, at.facing(wo), hit.front, [q[0], q[1], q[2]]) {
-                    Some(s) => {
-                        direction = s.direction;
-                        if s.transmitted {
-                            normal = -normal;
-                        }
-                    }
-                    None => break,
+                let specular = Specular::new(material, wo, at.facing(wo), at.geometric, hit.front);
+                let Some(s) = specular.sample([q[0], q[1], q[2]]) else { break };
+                // A shading normal may have turned the direction of a wide lobe to the wrong side of the face.
+                if (s.direction.dot(at.geometric) > 0.0) == s.transmitted {
+                    break;
+                }
+                direction = s.direction;
+                if s.transmitted {
+                    normal = -normal;
                 }
             } else {
                 // A black surface scatters too: a camera may see what lies around it only.

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::color::Rgb;
-use crate::form_factor::{Casting, ExchangeMatrix, cast};
+use crate::form_factor::{AtSpecular, Casting, ExchangeMatrix, cast};
 use crate::hard_cases::build::{SceneText, plate, sphere, turned, wedge_room};
 use crate::mesh::{Mesh, Sides};
 
@@ -14,7 +14,7 @@ fn factors(scene: &Scene, rays: u32, size: f64) -> (Mesh, ExchangeMatrix) {
         rays,
         batches: 1,
         seed: 3,
-        specular: false,
+        specular: AtSpecular::End,
         reached: None,
         emitters: None,
         progress: &|_| (),

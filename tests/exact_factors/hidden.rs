@@ -4,7 +4,15 @@ use super::*;
 
 /// Hemisphere rays in 16 randomisations: what pairs are compared with.
 fn hemisphere(rays: u32) -> Casting<'static> {
-    Casting { rays, batches: 16, seed: 3, specular: false, reached: None, emitters: None, progress: &|_| () }
+    Casting {
+        rays,
+        batches: 16,
+        seed: 3,
+        specular: AtSpecular::End,
+        reached: None,
+        emitters: None,
+        progress: &|_| (),
+    }
 }
 
 /// More faces in the shaft than shadows are cut from: 60 strips hide a third of the way, rays count. The strips

@@ -11,7 +11,7 @@ use glam::DVec3;
 use std::f64::consts::PI;
 use twopass::form_factor::analytic::{EXACT, Polygon, differential, exchange};
 use twopass::form_factor::{
-    Casting, Estimates, Factors, ObjectTable, Request, cast, cast_rows, estimate, unoccluded,
+    AtSpecular, Casting, Estimates, Factors, ObjectTable, Request, cast, cast_rows, estimate, unoccluded,
 };
 use twopass::mesh::{Mesh, Sides};
 use twopass::scene::Scene;

@@ -10,7 +10,7 @@ use super::{Context, Measurements, pool, thread_counts, threads_in_words};
 use crate::Result;
 use crate::form_factor::pairs::{PairFactors, PairWork};
 use crate::form_factor::{
-    Casting, Enforce, Estimates, ExchangeMatrix, Factors, Found, HemicubeSettings, Request, cast,
+    AtSpecular, Casting, Enforce, Estimates, ExchangeMatrix, Factors, Found, HemicubeSettings, Request, cast,
     cast_random, cast_rows, correct, estimate, hemicube,
 };
 use crate::pipeline::BATCHES;
@@ -139,7 +139,7 @@ impl Method {
             rays: setting,
             batches: BATCHES,
             seed,
-            specular: false,
+            specular: AtSpecular::End,
             reached: None,
             emitters: None,
             progress: &|_| (),

@@ -4,7 +4,7 @@ use super::cases::{Answer, Configuration};
 use crate::Result;
 use crate::form_factor::analytic::EXACT;
 use crate::form_factor::pairs::{CELL_ERROR, FEW_BATCHES, PairFactors, PairWork};
-use crate::form_factor::{Casting, Factors, cast_rows};
+use crate::form_factor::{AtSpecular, Casting, Factors, cast_rows};
 use crate::visibility::Visibility;
 
 /// Seed of answers, apart from those that rounds use.
@@ -74,7 +74,7 @@ impl Truth {
                     rays,
                     batches: 16,
                     seed: SEED,
-                    specular: false,
+                    specular: AtSpecular::End,
                     reached: None,
                     emitters: None,
                     progress: &|_| (),

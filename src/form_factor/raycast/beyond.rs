@@ -4,14 +4,17 @@ use super::super::gathered::EmitterIrradiance;
 use super::super::landing::{ABSORBED, EMITTER, SPECULAR, UNREACHED};
 use super::super::source::Source;
 use super::super::specular::{Carried, Link, pass_on};
-use super::{Caster, Scratch};
-use crate::color::Rgb;
+use super::{AtSpecular, Caster, Scratch};
+use crate::color::{self, Rgb};
 use crate::embree::Hits;
 use crate::emitters::{Passage, cosine_density, mis_share};
 use crate::mesh::NONE;
 use crate::sampling::seed_of;
 use crate::visibility::SurfaceHit;
 use glam::{DVec3, Vec3};
+
+/// Least albedo by which chains are weighed: what a black surface absorbs is asked for too.
+const DARK: f64 = 0.02;
 
 impl Caster<'_, '_> {
     /// A ray that met its own face, an emitter, a specular surface or a side that no light can reach; `at` is the place in the group,
@@ -117,7 +120,14 @@ impl Caster<'_, '_> {
         let mut absorbed = Rgb::ZERO;
         let place = (at.0 as u32, at.1);
         let chained = &mut scratch.chained;
-        let end = self.chains.follow(Carried::Radiance, (origin, direction, hit), numbers, |link| {
+        let worth = match self.casting.specular {
+            AtSpecular::GoOnByAlbedo => {
+                let own = scene.material(&scene.faces[source.face as usize]);
+                color::mean(own.diffuse + own.diffuse_transmission).max(DARK)
+            }
+            _ => 1.0,
+        };
+        let end = self.chains.follow(Carried::Radiance, (origin, direction, hit), numbers, worth, |link| {
             let j = self.mesh.element(link.hit.face, link.hit.front, link.hit.u, link.hit.v);
             if j != NONE {
                 chained.push((place, j, link.weight.as_vec3().to_array()));
