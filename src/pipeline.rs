@@ -235,7 +235,7 @@ pub(crate) fn solve_mesh(
         rays: settings.rays,
         batches,
         seed: settings.seed,
-        specular: if specular { AtSpecular::GoOnByAlbedo } else { AtSpecular::End },
+        specular: if specular { AtSpecular::GoOnByShare } else { AtSpecular::End },
         reached: Some(reached),
         emitters: (!emitters.is_empty()).then_some((emitters, work)),
         progress: &|n| observer(Event::Advance(n)),

@@ -35,9 +35,9 @@ pub enum AtSpecular {
     End,
     /// Chains go on.
     GoOn,
-    /// Chains go on, those of elements of small albedo less far, by Russian roulette: for radiosity, to which they bring
-    /// little.
-    GoOnByAlbedo,
+    /// Chains go on, by Russian roulette those less far whose element passes most light on specularly itself: for radiosity,
+    /// which counts but the share that such a surface reflects diffusely or absorbs.
+    GoOnByShare,
 }
 
 /// How to cast.
@@ -498,7 +498,7 @@ mod tests {
                 emitters: None,
                 progress: &|_| (),
             };
-            for specular in [AtSpecular::End, AtSpecular::GoOn, AtSpecular::GoOnByAlbedo] {
+            for specular in [AtSpecular::End, AtSpecular::GoOn, AtSpecular::GoOnByShare] {
                 let mut caster = Caster::new(&visibility, &mesh, &Casting { specular, ..casting });
                 let rows = |caster: &Caster| {
                     let row = |block: &Block, k| {

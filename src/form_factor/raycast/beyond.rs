@@ -13,8 +13,8 @@ use crate::sampling::seed_of;
 use crate::visibility::SurfaceHit;
 use glam::{DVec3, Vec3};
 
-/// Least albedo by which chains are weighed: what a black surface absorbs is asked for too.
-const DARK: f64 = 0.02;
+/// Least share by which chains are weighed.
+const LEAST: f64 = 0.02;
 
 impl Caster<'_, '_> {
     /// A ray that met its own face, an emitter, a specular surface or a side that no light can reach; `at` is the place in the group,
@@ -121,9 +121,9 @@ impl Caster<'_, '_> {
         let place = (at.0 as u32, at.1);
         let chained = &mut scratch.chained;
         let worth = match self.casting.specular {
-            AtSpecular::GoOnByAlbedo => {
+            AtSpecular::GoOnByShare => {
                 let own = scene.material(&scene.faces[source.face as usize]);
-                color::mean(own.diffuse + own.diffuse_transmission).max(DARK)
+                (1.0 - color::mean(pass_on(own))).max(LEAST)
             }
             _ => 1.0,
         };
