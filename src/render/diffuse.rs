@@ -419,7 +419,7 @@ impl Bases {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Estimator, Renderer, Settings};
+    use super::super::{Estimator, Renderer, Settings, render_pixels};
     use super::*;
     use crate::adaptive;
     use crate::embree::Device;
@@ -431,7 +431,8 @@ mod tests {
     use pulp::Arch;
     use std::path::Path;
 
-    /// Gathered images do not depend on what the processor can do: with glass and without, on uniform and adaptive elements.
+    /// Gathered images do not depend on what the processor can do: with glass and without, on uniform and adaptive elements. Pixels
+    /// asked for alone are those of the image.
     #[test]
     fn wide_registers_change_no_pixel() {
         let device = Device::new(1).expect("Embree");
@@ -465,6 +466,15 @@ mod tests {
                 (0..24 * 18).map(|k| image.get(k % 24, k / 24).map(f32::to_bits)).collect::<Vec<_>>()
             };
             let wide = pixels(&renderer);
+            let few: Vec<[u32; 2]> = (0..18).map(|y| [(5 * y) % 24, y]).collect();
+            let alone = render_pixels(&visibility, &emitters, solution, (&camera, &few), &settings).0;
+            for ([x, y], pixel) in few.into_iter().zip(alone) {
+                assert_eq!(
+                    pixel.as_vec3().to_array().map(f32::to_bits),
+                    wide[(24 * y + x) as usize],
+                    "{name} {x} {y}"
+                );
+            }
             renderer.arch = Arch::Scalar;
             assert!(wide.iter().filter(|p| **p != [0; 3]).count() > 200, "{name}");
             assert!(pixels(&renderer) == wide, "{name}, adaptive {adaptive}");

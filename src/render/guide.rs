@@ -9,12 +9,14 @@ use super::{Context, Method, Quality, Settings};
 use crate::color;
 use crate::form_factor::Chains;
 use crate::geometry::Frame;
-use crate::mesh::{Mesh, NONE};
+use crate::mesh::Mesh;
 use crate::radiosity::Solution;
 use crate::sampling::{cosine_hemisphere, seed_of, sobol};
-use crate::scene::{Camera, Scene};
-use crate::visibility::{SurfacePoint, Visibility};
-use rayon::prelude::*;
+use crate::scene::Scene;
+use crate::visibility::{SurfaceHit, SurfacePoint};
+use std::cell::Cell;
+use std::f64::consts::PI;
+use std::ops::Range;
 use std::sync::OnceLock;
 
 /// Cells along each side of the square.
@@ -24,12 +26,17 @@ const SLOTS: usize = 64;
 /// Slots that each cell has in any case: a quarter of an even share, so that no direction gets less than a sixteenth of its
 /// cosine-weighted rays.
 const LEAST: usize = SLOTS / CELLS / 4;
-/// Rays that find a density, on average two a cell.
+/// Rays that look at a patch, on average two a cell.
 const RAYS: u32 = 2 * (CELLS * CELLS) as u32;
-/// Densities are made where they take less than this share of the rays that gather.
+/// Rays that find its density where much is to be gained. Measured in a room lit through doorways: with 512, 1,024 and 2,048 the
+/// gathered image is 4.8, 4.2 and 4.0 % off.
+const RAYS_OF_DENSITY: u32 = 2 * RAYS;
+/// Patches are looked at where that takes less than this share of the rays that gather.
 const SHARE: f64 = 1.0 / 32.0;
 /// An even density does as well where a density in proportion would lower the second moment by less than this factor.
 const GAIN: f64 = 1.3;
+/// Factor from which more rays are worth their time.
+const MUCH: f64 = 2.0;
 
 /// A density over the unit square of cosine-weighted directions.
 pub(super) struct Guide {
@@ -106,6 +113,11 @@ impl Guide {
         Guide { rows: Axis::new(&rows), cells: shares.map(|row| Axis::new(&row)) }
     }
 
+    /// One over the density in a cell.
+    fn weight(&self, row: usize, cell: usize) -> f64 {
+        f64::from(self.rows.map[row][1] * self.cells[row].map[cell][1])
+    }
+
     /// Where the uniform point (u, v) of the square goes, and one over the density there.
     #[inline(always)]
     pub fn warp(&self, u: f32, v: f32) -> ([f32; 2], f32) {
@@ -115,14 +127,24 @@ impl Guide {
     }
 }
 
-/// Densities of all patches, each made when it is first asked for.
+/// What is known of the light that reaches a patch.
+#[derive(Default)]
+struct Known {
+    /// Its density; none where an even one is as good.
+    guide: Option<Box<Guide>>,
+    /// Standard deviation of what one ray brings by it, pi times its weighted radiance \[W m^-2\].
+    deviation: f64,
+}
+
+/// What is known of all patches, found when it is first asked for.
 pub(super) struct Guides {
     /// Patches that share a density: elements of a mesh, coarser than that of pass 1 where pixels are few.
     patches: Mesh,
-    /// None where an even density is as good.
-    made: Vec<OnceLock<Option<Box<Guide>>>>,
-    /// Patches whose densities take no more than [`SHARE`] of the rays of an image.
+    known: Vec<OnceLock<Known>>,
+    /// Patches that take no more than [`SHARE`] of the rays of an image.
     most: f64,
+    /// Settings of the picture: a block's own must not matter to what blocks share.
+    settings: Settings,
 }
 
 impl Guides {
@@ -143,67 +165,81 @@ impl Guides {
                 patches = Mesh::patches(scene, &mesh.sides(), patches.element_size * many.sqrt()).ok()?;
             }
         }
-        let made = (0..patches.len()).map(|_| OnceLock::new()).collect();
-        Some(Guides { patches, made, most })
+        let known = (0..patches.len()).map(|_| OnceLock::new()).collect();
+        Some(Guides { patches, known, most, settings: *settings })
     }
 
-    /// Whether the patches that a camera sees are few enough, and the rays that found out.
-    pub fn are_worth(&self, visibility: &Visibility, camera: &Camera) -> (bool, u64) {
-        if self.patches.len() as f64 <= self.most {
-            return (true, 0);
-        }
-        // More where faces are smaller than patches: those out of sight are not made.
-        let rays = u64::from(camera.size[0]) * u64::from(camera.size[1]);
-        (in_sight(visibility, camera, &self.patches) as f64 <= self.most, rays)
+    /// The patch at a point, on the side met or (`side` -1) the other one; none is [`crate::mesh::NONE`].
+    pub fn patch(&self, hit: &SurfaceHit, side: f64) -> u32 {
+        self.patches.element(hit.face, hit.front == (side > 0.0), hit.u, hit.v)
     }
-}
 
-/// How many patches the centres of the pixels see.
-fn in_sight(visibility: &Visibility, camera: &Camera, patches: &Mesh) -> usize {
-    let frame = camera.frame(visibility.scene());
-    let [width, height] = camera.size;
-    let mut seen: Vec<u32> = (0..width * height)
-        .into_par_iter()
-        .map(|k| {
-            let direction = frame.direction(f64::from(k % width) + 0.5, f64::from(k / width) + 0.5);
-            let hit = visibility.closest(frame.origin().as_vec3(), direction.as_vec3(), u32::MAX);
-            hit.map_or(NONE, |hit| patches.element(hit.face, hit.front, hit.u, hit.v))
-        })
-        .collect();
-    seen.par_sort_unstable();
-    seen.dedup();
-    seen.len()
+    /// Whether so many patches are few enough.
+    pub fn are_worth(&self, patches: usize) -> bool {
+        patches as f64 <= self.most
+    }
 }
 
 impl Context<'_, '_> {
     /// The density at a point, on the side seen (`side` 1) or the other one (-1); none where an even one does as well.
     pub(super) fn guide(&self, at: &SurfacePoint, side: f64) -> Option<&Guide> {
         let guides = self.guides?;
-        let patch = guides.patches.element(at.face, at.front == (side > 0.0), at.u, at.v);
-        guides.made.get(patch as usize)?.get_or_init(|| self.make_guide(&guides.patches, patch)).as_deref()
+        let hit = SurfaceHit { face: at.face, u: at.u, v: at.v, front: at.front };
+        self.known(guides, guides.patch(&hit, side))?.guide.as_deref()
     }
 
-    fn make_guide(&self, patches: &Mesh, patch: u32) -> Option<Box<Guide>> {
+    /// Standard deviation of what one ray brings to a patch, pi times its weighted radiance \[W m^-2\].
+    pub(super) fn deviation(&self, guides: &Guides, patch: u32) -> f64 {
+        self.known(guides, patch).map_or(0.0, |known| known.deviation)
+    }
+
+    fn known<'g>(&self, guides: &'g Guides, patch: u32) -> Option<&'g Known> {
+        let look = || {
+            let context = Context { settings: guides.settings, work: Cell::default(), ..*self };
+            let known = context.look(&guides.patches, patch);
+            self.cast(context.work.get().rays as u32);
+            known
+        };
+        Some(guides.known.get(patch as usize)?.get_or_init(look))
+    }
+
+    /// Casts rays over a patch's hemisphere.
+    fn look(&self, patches: &Mesh, patch: u32) -> Known {
         let place = patches.place_of(self.scene, patch);
         let (face, normal) = (place.face, place.normal);
         let frame = Frame::new(normal);
         let seed = seed_of(&[self.settings.seed, patch, 0x601de]);
         let chains = Chains::new(self.visibility, Some(self.emitters));
-        let mut squares = [[0.0; CELLS]; CELLS];
-        for k in 0..RAYS {
-            let [u, v, s, t] = sobol(k, 0, seed);
-            let origin = self.visibility.leave(face, self.visibility.start(&place, s, t), normal);
-            let direction = frame.to_scene(cosine_hemisphere(u, v)).as_vec3();
-            let radiance = match self.visibility.closest(origin, direction, face) {
-                Some(hit) => self.arriving(&chains, (origin, direction, hit), (normal, 1.0), (k, seed)),
-                None => self.scene.environment,
-            };
-            let [r, c] = [u, v].map(|x| (x * CELLS as f64) as usize);
-            squares[r][c] += color::mean(radiance).powi(2);
+        let (mut squares, mut sum) = ([[0.0; CELLS]; CELLS], 0.0);
+        let mut cast = |rays: Range<u32>| {
+            self.cast(rays.len() as u32);
+            let count = f64::from(rays.end);
+            for k in rays {
+                let [u, v, s, t] = sobol(k, 0, seed);
+                let origin = self.visibility.leave(face, self.visibility.start(&place, s, t), normal);
+                let direction = frame.to_scene(cosine_hemisphere(u, v)).as_vec3();
+                let radiance = match self.visibility.closest(origin, direction, face) {
+                    Some(hit) => self.arriving(&chains, (origin, direction, hit), (normal, 1.0), (k, seed)),
+                    None => self.scene.environment,
+                };
+                let [r, c] = [u, v].map(|x| (x * CELLS as f64) as usize);
+                squares[r][c] += color::mean(radiance).powi(2);
+                sum += color::mean(radiance);
+            }
+            // Squared radiance of a ray in each cell.
+            let each = (CELLS * CELLS) as f64 / count;
+            (blurred(&squares.map(|row| row.map(|s| each * s))), sum / count)
+        };
+        let (mut shares, mut mean) = cast(0..RAYS);
+        if gain(&shares) > MUCH {
+            (shares, mean) = cast(RAYS..RAYS_OF_DENSITY);
         }
-        self.cast(RAYS);
-        let shares = blurred(&squares);
-        (gain(&shares) > GAIN).then(|| Box::new(Guide::new(&shares)))
+        let guide = (gain(&shares) > GAIN).then(|| Box::new(Guide::new(&shares)));
+        let weight = |r: usize, c: usize| guide.as_ref().map_or(1.0, |g| g.weight(r, c));
+        let cells = (0..CELLS * CELLS).map(|k| (k / CELLS, k % CELLS));
+        let second: f64 = cells.map(|(r, c)| weight(r, c) * shares[r][c].powi(2)).sum();
+        let variance = second / (CELLS * CELLS) as f64 - mean * mean;
+        Known { guide, deviation: PI * variance.max(0.0).sqrt() }
     }
 }
 

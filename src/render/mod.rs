@@ -1,6 +1,7 @@
 //! Pass 2: images, from the solution of pass 1 and rays over the specular lobes.
 
 mod block;
+mod budget;
 mod diffuse;
 mod guide;
 mod landing;
@@ -17,6 +18,7 @@ use crate::sampling::{seed_of, sobol, sobol_bits};
 use crate::scene::{Camera, CameraFrame, Scene};
 use crate::visibility::Visibility;
 use block::BLOCK;
+use budget::Budget;
 use glam::{DVec2, DVec3, Vec3};
 use guide::Guides;
 use landing::Landings;
@@ -96,7 +98,7 @@ pub struct Settings {
     pub method: Method,
     /// Samples a pixel.
     pub spp: u32,
-    /// Hemisphere rays at each sample ([`Quality::Gather`]).
+    /// Hemisphere rays at each sample ([`Quality::Gather`]), on average over the picture.
     pub gather_rays: u32,
     /// Emitter samples at each sample.
     pub emitter_samples: u32,
@@ -226,6 +228,20 @@ const FINER: u32 = 8;
 /// Rays along one side of a pixel that look for mirrors and glass.
 const PROBES: u32 = 3;
 
+/// Settings of pixels that see a mirror or glass first: as many hemisphere rays in all.
+fn finer(settings: &Settings) -> Settings {
+    Settings {
+        spp: settings.spp.saturating_mul(FINER),
+        gather_rays: settings.gather_rays.div_ceil(FINER),
+        emitter_samples: settings.emitter_samples.div_ceil(FINER),
+        estimator: match settings.estimator {
+            Estimator::Lobe(n) => Estimator::Lobe(n.div_ceil(FINER)),
+            frustum => frustum,
+        },
+        ..*settings
+    }
+}
+
 /// Whether a pixel at (x, y) sees a perfect mirror or glass first. The answer depends on no sample of the pixel, so
 /// that samples chosen by it are without bias.
 fn sees_perfect_lobe(visibility: &Visibility, frame: &CameraFrame, x: u32, y: u32) -> bool {
@@ -271,12 +287,12 @@ pub fn render_pixels(
     settings: &Settings,
 ) -> (Vec<Rgb>, u64) {
     let renderer = Renderer::new(visibility, emitters, solution, camera.size, settings);
-    let (guides, looks) = renderer.guides_of(camera);
+    let (budget, looks) = renderer.budget(camera);
     let frame = camera.frame(visibility.scene());
     let shaded: Vec<(Vec<Rgb>, Traced)> = pixels
         .par_iter()
         .with_min_len(TILE as usize)
-        .map(|[x, y]| renderer.block(&frame, guides, &[(*x, *y)]))
+        .map(|[x, y]| renderer.block(&frame, budget.as_ref(), &[(*x, *y)]))
         .collect();
     let rays: u64 = shaded.iter().map(|s| s.1.rays).sum();
     (shaded.iter().flat_map(|s| s.0.iter().copied()).collect(), looks + rays)
@@ -290,8 +306,8 @@ pub struct Renderer<'a, 's> {
     landings: Landings,
     guides: Option<Guides>,
     settings: Settings,
-    /// Settings of pixels that see a mirror or glass first; none where they are the same.
-    finer: Option<Settings>,
+    /// Whether pixels that see a mirror or glass first have finer settings.
+    looks: bool,
     /// What the processor can do.
     arch: Arch,
 }
@@ -306,21 +322,9 @@ impl<'a, 's> Renderer<'a, 's> {
         settings: &Settings,
     ) -> Renderer<'a, 's> {
         let scene = visibility.scene();
-        // As many hemisphere rays a pixel in all.
-        let finer = Settings {
-            spp: settings.spp.saturating_mul(FINER),
-            gather_rays: settings.gather_rays.div_ceil(FINER),
-            emitter_samples: settings.emitter_samples.div_ceil(FINER),
-            estimator: match settings.estimator {
-                Estimator::Lobe(n) => Estimator::Lobe(n.div_ceil(FINER)),
-                frustum => frustum,
-            },
-            ..*settings
-        };
         let gathers = settings.method == Method::TwoPass(Quality::Gather);
         let looks = gathers && scene.faces.iter().any(|f| scene.material(f).has_perfect_lobe());
         let landings = Landings::new(scene, emitters, solution);
-        let finer = looks.then_some(finer);
         let guides = solution.and_then(|s| Guides::new(scene, s, size, settings));
         Renderer {
             visibility,
@@ -329,59 +333,51 @@ impl<'a, 's> Renderer<'a, 's> {
             landings,
             guides,
             settings: *settings,
-            finer,
+            looks,
             arch: Arch::new(),
         }
     }
 
     /// [`render`], from one camera: what it gives does not depend on what was rendered before.
     pub fn render(&self, camera: &Camera, progress: &(dyn Fn(u64) + Sync)) -> (Image, Traced) {
-        let (guides, looks) = self.guides_of(camera);
-        let shade = |frame: &CameraFrame, pixels: &[(u32, u32)]| self.block(frame, guides, pixels);
+        let (budget, looks) = self.budget(camera);
+        let shade = |frame: &CameraFrame, pixels: &[(u32, u32)]| self.block(frame, budget.as_ref(), pixels);
         let (image, traced) = film(self.visibility.scene(), camera, progress, shade);
         (image, Traced { rays: traced.rays + looks, ..traced })
     }
 
-    /// Where a camera's patches are worth the rays of their densities, these, and the rays that looked for the patches.
-    fn guides_of(&self, camera: &Camera) -> (Option<&Guides>, u64) {
-        let Some(guides) = &self.guides else { return (None, 0) };
-        let (worth, rays) = guides.are_worth(self.visibility, camera);
-        (worth.then_some(guides), rays)
+    /// What a ray may ask where a picture has these settings.
+    fn context<'c>(&'c self, guides: Option<&'c Guides>, settings: Settings) -> Context<'c, 's> {
+        let &Renderer { visibility, emitters, solution, ref landings, arch, .. } = self;
+        let scene = visibility.scene();
+        let work = Cell::default();
+        Context { scene, visibility, emitters, solution, landings, guides, settings, arch, work }
     }
 
     /// Mean radiance over pixels of one block [W m^-2 sr^-1], and what it took; what was dropped is summed over the pixels.
+    /// Without a budget rays go everywhere alike.
     fn block(
         &self,
         frame: &CameraFrame,
-        guides: Option<&Guides>,
+        budget: Option<&Budget>,
         pixels: &[(u32, u32)],
     ) -> (Vec<Rgb>, Traced) {
-        let &Renderer { visibility, emitters, solution, ref landings, settings, arch, .. } = self;
-        let scene = visibility.scene();
-        let context = |settings| Context {
-            scene,
-            visibility,
-            emitters,
-            solution,
-            landings,
-            guides,
-            settings,
-            arch,
-            work: Cell::default(),
-        };
-        let coarse = context(settings);
+        let guides = self.guides.as_ref().filter(|_| budget.is_some());
+        let gather_rays = budget.zip(pixels.first()).map_or(self.settings.gather_rays, |(b, at)| b.of(*at));
+        let settings = Settings { gather_rays, ..self.settings };
+        let coarse = self.context(guides, settings);
         if settings.method == Method::Path {
             let path = |origin, direction, sampler| coarse.path(origin, direction, sampler);
             let radiance = pixels.iter().map(|at| pixel(frame, *at, (settings.spp, settings.seed), path));
             return (radiance.collect(), coarse.traced());
         }
-        let Some(finer) = self.finer else {
+        if !self.looks {
             return (coarse.block(frame, pixels)[..pixels.len()].to_vec(), coarse.traced());
-        };
+        }
         coarse.cast(PROBES * PROBES * pixels.len() as u32);
-        let finely = |at: &(u32, u32)| sees_perfect_lobe(visibility, frame, at.0, at.1);
+        let finely = |at: &(u32, u32)| sees_perfect_lobe(self.visibility, frame, at.0, at.1);
         let (many, few): (Vec<_>, Vec<_>) = pixels.iter().partition(|at| finely(at));
-        let finer = context(finer);
+        let finer = self.context(guides, finer(&settings));
         let mut found: Vec<((u32, u32), Rgb)> = Vec::with_capacity(pixels.len());
         for (context, pixels) in [(&coarse, few), (&finer, many)] {
             found.extend(pixels.iter().copied().zip(context.block(frame, &pixels)));
