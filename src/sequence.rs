@@ -50,7 +50,7 @@ pub fn render_frames(
         });
         for frame in frames {
             let start = Instant::now();
-            let (image, Traced { rays, dropped }) = trace(frame);
+            let (image, Traced { rays, dropped, .. }) = trace(frame);
             let trace_seconds = start.elapsed().as_secs_f64();
             // The encoder hangs up where it failed, and says why below.
             let time = FrameTime { frame, trace_seconds, rays, dropped, write_seconds: 0.0 };
@@ -71,7 +71,8 @@ mod tests {
     #[test]
     fn frames_are_written_in_order() {
         let seen = Mutex::new(Vec::new());
-        let trace = |frame| (Image::new(1, frame as usize), Traced { rays: u64::from(frame), dropped: 0.0 });
+        let trace =
+            |frame| (Image::new(1, frame as usize), Traced { rays: u64::from(frame), ..Traced::default() });
         let times = render_frames(3..=9, trace, |frame, image| {
             seen.lock().unwrap().push((frame, image.height as u32));
             Ok(())

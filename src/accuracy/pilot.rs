@@ -13,7 +13,7 @@ use crate::image::Image;
 use crate::mesh::{Mesh, default_element_size};
 use crate::pipeline::{Pass1, Stage, solve_reached};
 use crate::radiosity::Solution;
-use crate::render::{Method, Quality, Settings, render_pixels, sees_no_emitter};
+use crate::render::{Method, Quality, Settings, Traced, render_pixels, sees_no_emitter};
 use crate::sampling::seed_of;
 use crate::{Error, Result};
 
@@ -96,6 +96,8 @@ pub(super) struct Level {
     rays: f64,
     /// Rays an element.
     rays_each: u32,
+    /// Two independent ones.
+    solutions: [Solution; 2],
     /// By quality.
     sampled: [Sampled; 3],
 }
@@ -172,9 +174,13 @@ impl<'a, 's> Pilot<'a, 's> {
         }
         let samples = 2.25 * self.pixels.len() as f64 * f64::from(self.spp * more_samples);
         let pass2: f64 = (0..3).map(|q| samples * (SAMPLE + RAY * self.rays_per_sample(q))).sum();
-        let pass1 =
-            |l: &Level| l.cost_of_ray() * f64::from(l.rays_each * more_rays) + l.elements as f64 * ELEMENT;
-        let cost = self.levels.iter().map(|l| 2.0 * pass1(l) + pass2).sum();
+        let pass1 = |l: &Level| match noise {
+            Noise::Pass1 => {
+                2.0 * (l.cost_of_ray() * f64::from(l.rays_each * more_rays) + l.elements as f64 * ELEMENT)
+            }
+            Noise::Pass2 => 0.0,
+        };
+        let cost = self.levels.iter().map(|l| pass1(l) + pass2).sum();
         (noise, cost)
     }
 
@@ -183,11 +189,15 @@ impl<'a, 's> Pilot<'a, 's> {
         let (more_rays, more_samples) = noise.growth();
         self.fewest_rays *= more_rays;
         self.spp *= more_samples;
-        let count = self.levels.len();
-        self.levels.clear();
-        while self.levels.len() < count {
-            if !self.refine()? {
-                return Ok(false);
+        let levels = std::mem::take(&mut self.levels);
+        for level in levels {
+            match noise {
+                Noise::Pass1 if !self.refine()? => return Ok(false),
+                Noise::Pass1 => (),
+                Noise::Pass2 => {
+                    let sampled = self.sample(&level.solutions);
+                    self.levels.push(Level { sampled, ..level });
+                }
             }
         }
         Ok(true)
@@ -198,36 +208,45 @@ impl<'a, 's> Pilot<'a, 's> {
         let scene = self.view.visibility.scene();
         let element_size = COARSEST * default_element_size(scene) * 0.5f64.powi(self.levels.len() as i32);
         let rays_each = self.rays_of(Mesh::uniform_len(scene, &self.view.reached, element_size) as f64);
-        let mut runs = Vec::new();
-        let mut rays = 0;
-        for run in 0..2 {
+        let mut stages: Vec<Stage> = Vec::new();
+        let mut solve = |run| {
             let settings =
                 Pass1 { rays: rays_each, element_size: Some(element_size), seed: self.seed_of(run) };
-            let mut stages: Vec<Stage> = Vec::new();
             let &View { visibility, emitters, ref reached, limit, .. } = self.view;
-            let solved = solve_reached(limit, visibility, emitters, reached, &settings, &|_| (), &mut stages);
-            rays += stages.iter().map(|s| s.rays).sum::<u64>();
-            runs.push(match solved {
-                Err(Error::Usage(_)) if self.levels.len() > 1 => return Ok(false),
-                other => other?.solution,
-            });
-        }
+            solve_reached(limit, visibility, emitters, reached, &settings, &|_| (), &mut stages)
+        };
+        let solutions = match (solve(0), solve(1)) {
+            (Ok(first), Ok(second)) => [first.solution, second.solution],
+            (Err(Error::Usage(_)), _) | (_, Err(Error::Usage(_))) if self.levels.len() > 1 => {
+                return Ok(false);
+            }
+            (Err(e), _) | (_, Err(e)) => return Err(e),
+        };
+        let rays = stages.iter().map(|s| s.rays).sum::<u64>();
         if self.cast == 0 {
-            self.measure_noise(&runs[0]);
+            self.measure_noise(&solutions[0]);
         }
         self.cast += rays;
-        let sampled = Quality::ALL.map(|quality| {
-            let one = |solution, run, pixels| self.render(quality, (solution, pixels), self.spp, run);
-            let (first, cast) = one(&runs[0], 0, &self.pixels);
-            let (second, more) = one(&runs[1], 1, &self.pixels);
-            let (crossed, rest) = one(&runs[1], 0, &self.few);
-            self.cast += cast + more + rest;
-            let samples = (self.pixels.len() * self.spp as usize).max(1);
-            Sampled { runs: [first, second], crossed, rays: cast as f64 / samples as f64 }
-        });
+        let sampled = self.sample(&solutions);
         let rays = rays as f64 / f64::from(2 * rays_each);
-        self.levels.push(Level { element_size, elements: runs[0].mesh.len(), rays, rays_each, sampled });
+        let elements = solutions[0].mesh.len();
+        self.levels.push(Level { element_size, elements, rays, rays_each, solutions, sampled });
         Ok(true)
+    }
+
+    /// Renders the pixels at every quality.
+    fn sample(&mut self, solutions: &[Solution; 2]) -> [Sampled; 3] {
+        Quality::ALL.map(|quality| {
+            let one = |solution, run, pixels| self.render(quality, (solution, pixels), self.spp, run);
+            let (first, cast) = one(&solutions[0], 0, &self.pixels);
+            let (second, more) = one(&solutions[1], 1, &self.pixels);
+            let (crossed, rest) = one(&solutions[1], 0, &self.few);
+            self.cast += cast.rays + more.rays + rest.rays;
+            let samples = (self.pixels.len() * self.spp as usize).max(1);
+            // Looks are those of the whole picture.
+            let rays = (cast.rays - cast.looks) as f64 / samples as f64;
+            Sampled { runs: [first, second], crossed, rays }
+        })
     }
 
     fn seed_of(&self, run: u32) -> u32 {
@@ -240,7 +259,7 @@ impl<'a, 's> Pilot<'a, 's> {
         (solution, pixels): (&Solution, &[[u32; 2]]),
         spp: u32,
         run: u32,
-    ) -> (Vec<Rgb>, u64) {
+    ) -> (Vec<Rgb>, Traced) {
         let View { visibility, emitters, camera, settings, .. } = *self.view;
         let settings =
             Settings { method: Method::TwoPass(quality), spp, seed: self.seed_of(run), ..settings };
@@ -253,7 +272,7 @@ impl<'a, 's> Pilot<'a, 's> {
                 let pixels = if k + 1 < LADDER.len() { &self.pixels } else { &self.few };
                 let (a, cast) = self.render(quality, (solution, pixels), spp, 2);
                 let (b, more) = self.render(quality, (solution, pixels), spp, 3);
-                self.cast += cast + more;
+                self.cast += cast.rays + more.rays;
                 let mean = mean(&a).max(f64::MIN_POSITIVE);
                 self.noise[q][k] = 0.5 * product(&minus(&a, &b), &minus(&a, &b)).value / (mean * mean);
             }

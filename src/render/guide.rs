@@ -207,6 +207,9 @@ impl Context<'_, '_> {
     fn look(&self, patches: &Mesh, patch: u32) -> Known {
         let place = patches.place_of(self.scene, patch);
         let (face, normal) = (place.face, place.normal);
+        let material = self.scene.material(&self.scene.faces[face as usize]);
+        // Light is followed as far as it matters to the patch: for long within glass to one that is hardly diffuse would be dear.
+        let albedo = color::mean(material.diffuse + material.diffuse_transmission);
         let frame = Frame::new(normal);
         let seed = seed_of(&[self.settings.seed, patch, 0x601de]);
         let chains = Chains::new(self.visibility, Some(self.emitters));
@@ -219,7 +222,9 @@ impl Context<'_, '_> {
                 let origin = self.visibility.leave(face, self.visibility.start(&place, s, t), normal);
                 let direction = frame.to_scene(cosine_hemisphere(u, v)).as_vec3();
                 let radiance = match self.visibility.closest(origin, direction, face) {
-                    Some(hit) => self.arriving(&chains, (origin, direction, hit), (normal, 1.0), (k, seed)),
+                    Some(hit) => {
+                        self.arriving(&chains, (origin, direction, hit), (normal, albedo), (k, seed))
+                    }
                     None => self.scene.environment,
                 };
                 let [r, c] = [u, v].map(|x| (x * CELLS as f64) as usize);

@@ -125,20 +125,20 @@ pub(crate) struct Context<'a, 's> {
 impl Context<'_, '_> {
     /// Counts rays that were cast.
     fn cast(&self, rays: u32) {
-        let Traced { rays: before, dropped } = self.work.get();
-        self.work.set(Traced { rays: before + u64::from(rays), dropped });
+        let work = self.work.get();
+        self.work.set(Traced { rays: work.rays + u64::from(rays), ..work });
     }
 
     /// Counts a branch that is cut off, and its share of what a camera ray sees.
     fn cut(&self, share: f64) {
-        let Traced { rays, dropped } = self.work.get();
-        self.work.set(Traced { rays, dropped: dropped + share });
+        let work = self.work.get();
+        self.work.set(Traced { dropped: work.dropped + share, ..work });
     }
 
     /// Work so far, of all pixels as one.
     fn traced(&self) -> Traced {
-        let Traced { rays, dropped } = self.work.get();
-        Traced { rays, dropped: dropped / f64::from(self.settings.spp.max(1)) }
+        let work = self.work.get();
+        Traced { dropped: work.dropped / f64::from(self.settings.spp.max(1)), ..work }
     }
 }
 
@@ -147,6 +147,8 @@ impl Context<'_, '_> {
 pub struct Traced {
     /// Rays cast.
     pub rays: u64,
+    /// Of these, rays that looked at the whole picture beforehand, for quality gather.
+    pub looks: u64,
     /// Share of the camera rays' weight, over the whole picture, on branches that were cut off after their 512th specular
     /// surface: what they would have shown is missing.
     pub dropped: f64,
@@ -166,7 +168,11 @@ impl std::ops::Add for Traced {
     type Output = Traced;
 
     fn add(self, other: Traced) -> Traced {
-        Traced { rays: self.rays + other.rays, dropped: self.dropped + other.dropped }
+        Traced {
+            rays: self.rays + other.rays,
+            looks: self.looks + other.looks,
+            dropped: self.dropped + other.dropped,
+        }
     }
 }
 
@@ -278,14 +284,15 @@ pub fn render(
     Renderer::new(visibility, emitters, solution, camera.size, settings).render(camera, progress)
 }
 
-/// Some pixels of an image alone, (column, row) from the top left: what [`render`] gives for them, and the rays cast.
+/// Some pixels of an image alone, (column, row) from the top left: what [`render`] gives for them, and what it took;
+/// what was dropped is summed over the pixels.
 pub fn render_pixels(
     visibility: &Visibility,
     emitters: &Emitters,
     solution: Option<&Solution>,
     (camera, pixels): (&Camera, &[[u32; 2]]),
     settings: &Settings,
-) -> (Vec<Rgb>, u64) {
+) -> (Vec<Rgb>, Traced) {
     let renderer = Renderer::new(visibility, emitters, solution, camera.size, settings);
     let (budget, looks) = renderer.budget(camera);
     let frame = camera.frame(visibility.scene());
@@ -294,8 +301,9 @@ pub fn render_pixels(
         .with_min_len(TILE as usize)
         .map(|[x, y]| renderer.block(&frame, budget.as_ref(), &[(*x, *y)]))
         .collect();
-    let rays: u64 = shaded.iter().map(|s| s.1.rays).sum();
-    (shaded.iter().flat_map(|s| s.0.iter().copied()).collect(), looks + rays)
+    let traced = shaded.iter().fold(Traced::default(), |sum, pixel| sum + pixel.1);
+    let radiance = shaded.iter().flat_map(|s| s.0.iter().copied()).collect();
+    (radiance, Traced { rays: traced.rays + looks, looks, ..traced })
 }
 
 /// Renders images of one size, one after the other, and keeps what they share.
@@ -343,7 +351,7 @@ impl<'a, 's> Renderer<'a, 's> {
         let (budget, looks) = self.budget(camera);
         let shade = |frame: &CameraFrame, pixels: &[(u32, u32)]| self.block(frame, budget.as_ref(), pixels);
         let (image, traced) = film(self.visibility.scene(), camera, progress, shade);
-        (image, Traced { rays: traced.rays + looks, ..traced })
+        (image, Traced { rays: traced.rays + looks, looks, ..traced })
     }
 
     /// What a ray may ask where a picture has these settings.
@@ -433,7 +441,7 @@ pub fn render_directional(
             emitted + solution.leaving(scene, (hit.face, hit.front), uv, -direction, sampler.numbers(1))
         };
         let radiance = pixels.iter().map(|at| pixel(frame, *at, (spp, seed), seen)).collect();
-        (radiance, Traced { rays: u64::from(spp) * pixels.len() as u64, dropped: 0.0 })
+        (radiance, Traced { rays: u64::from(spp) * pixels.len() as u64, ..Traced::default() })
     })
 }
 
