@@ -33,7 +33,7 @@ impl Budget {
 }
 
 /// What one ray of a block sees: the patches that receive light on both sides, and the albedos by which it is seen.
-type Seen = [(u32, f64); 2];
+type Seen = [(u32, f32); 2];
 
 impl Context<'_, '_> {
     /// What the rays of a block see; nothing of those that meet no diffuse surface.
@@ -54,7 +54,7 @@ impl Context<'_, '_> {
             lit.then(|| {
                 let receives = |albedo, side| match color::mean(albedo) {
                     0.0 => (NONE, 0.0),
-                    albedo => (guides.patch(&hit, side), albedo),
+                    albedo => (guides.patch(&hit, side), albedo as f32),
                 };
                 [receives(material.diffuse, 1.0), receives(material.diffuse_transmission, -1.0)]
             })
@@ -92,8 +92,9 @@ impl Renderer<'_, '_> {
         let blocks: Vec<Option<f64>> = seen
             .iter()
             .map(|rays| {
-                let variance =
-                    |seen: &Seen| seen.iter().map(|(p, a)| (a * deviation(*p)).powi(2)).sum::<f64>();
+                let variance = |seen: &Seen| {
+                    seen.iter().map(|(p, a)| (f64::from(*a) * deviation(*p)).powi(2)).sum::<f64>()
+                };
                 let (sum, count) =
                     rays.iter().flatten().fold((0.0, 0.0), |(s, n), seen| (s + variance(seen), n + 1.0));
                 (count > 0.0).then(|| f64::sqrt(sum / count))
