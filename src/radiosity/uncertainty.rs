@@ -398,19 +398,20 @@ impl Turn<'_, '_> {
             return guess.iter().zip(&systems).map(moved).collect();
         }
         let batches = self.exchange.rows.batches();
+        let ones = |m: usize| -> Vec<Rgb> {
+            let one = |k: usize| Rgb::ONE - self.parts.ones[k * batches + (self.pick)(k, m)];
+            (0..b[m].len()).map(one).collect()
+        };
         let mut systems: Vec<Krylov> = b
             .iter()
             .zip(of(&b).into_iter().flatten())
             .enumerate()
-            .map(|(m, (b, a_b))| {
-                let one = |k: usize| Rgb::ONE - self.parts.ones[k * batches + (self.pick)(k, m)];
-                let ones: Vec<Rgb> = (0..b.len()).map(one).collect();
-                Krylov::balanced(b, &a_b, &ones)
-            })
+            .map(|(m, (b, a_b))| Krylov::balanced(b, &a_b, &ones(m)))
             .collect();
         let alive = vec![true; systems.len()];
         self.run(&mut systems, &norms, alive);
-        systems.into_iter().map(|s| s.x).collect()
+        // What is left of the residuals is small beside them all, but not beside what the mean light loses at a bounce: balance again.
+        systems.into_iter().enumerate().map(|(m, s)| s.balance(&ones(m))).collect()
     }
 
     /// Improves the systems that are `alive` and further than [`ROUGH`] from `norms`, preconditioned where there is a coarse grid.
