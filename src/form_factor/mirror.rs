@@ -185,11 +185,12 @@ impl Images<'_, '_> {
             if let Some((window, at)) = crossing {
                 let facing = window.normal * if window.normal.dot(along) < 0.0 { 1.0 } else { -1.0 };
                 if self.visibility.unoccluded(&self.visibility.segment(leave, window.face, at, facing)) {
-                    // The mirror's own diffuse part is met on its surface.
-                    self.count(window.face, facing == window.normal, at, weight, sums);
-                    let left = weight * window.albedo;
-                    row.summary.absorbed += weight - left - self.diffuse_part(window, weight);
-                    weight = left;
+                    // What the mirror takes itself, its element has where it has one: it is diffuse too, or shines.
+                    let rest = weight * (Rgb::ONE - window.albedo);
+                    if !self.count(window.face, facing == window.normal, at, weight, sums) {
+                        row.summary.absorbed += rest;
+                    }
+                    weight -= rest;
                     if weight.max_element() <= 0.0 {
                         return;
                     }
@@ -210,19 +211,14 @@ impl Images<'_, '_> {
         row.summary.dropped += weight;
     }
 
-    /// What a mirror that is diffuse too takes for its diffuse part.
-    fn diffuse_part(&self, window: &Window, weight: Rgb) -> Rgb {
-        let scene = self.visibility.scene();
-        let diffuse = scene.material(&scene.faces[window.face as usize]).is_diffuse();
-        if diffuse { weight * (Rgb::ONE - window.albedo) } else { Rgb::ZERO }
-    }
-
-    fn count(&self, face: u32, front: bool, at: DVec3, weight: Rgb, sums: &mut BTreeMap<u32, Rgb>) {
+    /// Counts what meets an element of a mirror; false where it has none.
+    fn count(&self, face: u32, front: bool, at: DVec3, weight: Rgb, sums: &mut BTreeMap<u32, Rgb>) -> bool {
         let (u, v) = self.coordinates(face, at);
         let j = self.mesh.element(face, front, u as f32, v as f32);
         if j != NONE {
             *sums.entry(j).or_insert(Rgb::ZERO) += weight;
         }
+        j != NONE
     }
 
     /// The first window that the straight line from `origin` crosses beyond `entry`, and where.

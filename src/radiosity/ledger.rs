@@ -19,7 +19,7 @@ use std::f64::consts::PI;
 pub struct Ledger {
     /// Leaving emitters.
     pub emitted: Rgb,
-    /// Arriving from outside.
+    /// Arriving from outside, but for what specular surfaces send out again.
     pub environment: Rgb,
     /// Taken by diffuse surfaces.
     pub absorbed: Rgb,
@@ -110,7 +110,8 @@ impl Ledger {
             sum.absorbed_specular += leaving * s.absorbed;
             sum.escaped += leaving * s.escaped;
             sum.dropped += leaving * s.dropped;
-            sum.environment += area * s.escaped * scene.environment * PI;
+            // What a surface passes on specularly is counted where it ends.
+            sum.environment += area * kept[e] * s.escaped * scene.environment * PI;
         }
         let input = sum.emitted + sum.environment;
         let output = sum.absorbed + sum.absorbed_specular + sum.escaped + sum.dropped;

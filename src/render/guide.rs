@@ -128,7 +128,6 @@ impl Guide {
 }
 
 /// What is known of the light that reaches a patch.
-#[derive(Default)]
 struct Known {
     /// Its density; none where an even one is as good.
     guide: Option<Box<Guide>>,

@@ -314,8 +314,8 @@ pub struct Renderer<'a, 's> {
     landings: Landings,
     guides: Option<Guides>,
     settings: Settings,
-    /// Whether pixels that see a mirror or glass first have finer settings.
-    looks: bool,
+    /// Whether pixels are probed for a mirror or glass seen first, where settings are finer.
+    probes: bool,
     /// What the processor can do.
     arch: Arch,
 }
@@ -331,7 +331,7 @@ impl<'a, 's> Renderer<'a, 's> {
     ) -> Renderer<'a, 's> {
         let scene = visibility.scene();
         let gathers = settings.method == Method::TwoPass(Quality::Gather);
-        let looks = gathers && scene.faces.iter().any(|f| scene.material(f).has_perfect_lobe());
+        let probes = gathers && scene.faces.iter().any(|f| scene.material(f).has_perfect_lobe());
         let landings = Landings::new(scene, emitters, solution);
         let guides = solution.and_then(|s| Guides::new(scene, s, size, settings));
         Renderer {
@@ -341,7 +341,7 @@ impl<'a, 's> Renderer<'a, 's> {
             landings,
             guides,
             settings: *settings,
-            looks,
+            probes,
             arch: Arch::new(),
         }
     }
@@ -379,7 +379,7 @@ impl<'a, 's> Renderer<'a, 's> {
             let radiance = pixels.iter().map(|at| pixel(frame, *at, (settings.spp, settings.seed), path));
             return (radiance.collect(), coarse.traced());
         }
-        if !self.looks {
+        if !self.probes {
             return (coarse.block(frame, pixels)[..pixels.len()].to_vec(), coarse.traced());
         }
         coarse.cast(PROBES * PROBES * pixels.len() as u32);

@@ -10,6 +10,7 @@ use crate::embree::Hits;
 use crate::emitters::{Passage, cosine_density, mis_share};
 use crate::mesh::NONE;
 use crate::sampling::seed_of;
+use crate::scene::Material;
 use crate::visibility::SurfaceHit;
 use glam::{DVec3, Vec3};
 
@@ -118,6 +119,9 @@ impl Caster<'_, '_> {
             scratch.fates[at.0].inside += 1;
         }
         let mut absorbed = Rgb::ZERO;
+        if self.mesh.element(hit.face, hit.front, hit.u, hit.v) != NONE {
+            absorbed -= counted_twice(met);
+        }
         let place = (at.0 as u32, at.1);
         let chained = &mut scratch.chained;
         let worth = match self.casting.specular {
@@ -129,19 +133,13 @@ impl Caster<'_, '_> {
         };
         let end = self.chains.follow(Carried::Radiance, (origin, direction, hit), numbers, worth, |link| {
             let j = self.mesh.element(link.hit.face, link.hit.front, link.hit.u, link.hit.v);
+            let material = scene.material(&scene.faces[link.hit.face as usize]);
             if j != NONE {
                 chained.push((place, j, link.weight.as_vec3().to_array()));
-                let material = scene.material(&scene.faces[link.hit.face as usize]);
-                if !material.is_diffuse() && !material.is_specular() {
-                    // A black emitter has elements: what it absorbs is counted there.
-                    absorbed -= link.weight;
-                }
-            } else {
-                let material = scene.material(&scene.faces[link.hit.face as usize]);
-                if material.is_diffuse() && (link.hit.front || material.two_sided) {
-                    // Diffuse, but without elements there: nothing that was reached lies beyond.
-                    absorbed += link.weight * (Rgb::ONE - pass_on(material));
-                }
+                absorbed -= link.weight * counted_twice(material);
+            } else if material.is_diffuse() && (link.hit.front || material.two_sided) {
+                // Diffuse, but without elements there: nothing that was reached lies beyond.
+                absorbed += link.weight * (Rgb::ONE - pass_on(material));
             }
             self.emission(source, first, link, emitted);
         });
@@ -151,4 +149,10 @@ impl Caster<'_, '_> {
         summary.dropped += end.dropped;
         scratch.cast += u64::from(end.rays);
     }
+}
+
+/// What a chain counts as absorbed where it meets an element: of an emitter that is not diffuse, what it does not pass on. The element
+/// takes that already.
+fn counted_twice(material: &Material) -> Rgb {
+    if material.is_diffuse() { Rgb::ZERO } else { Rgb::ONE - pass_on(material) }
 }
