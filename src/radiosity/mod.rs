@@ -39,6 +39,7 @@ use crate::scene::Scene;
 use rayon::prelude::*;
 use solve::Acceleration;
 use std::f64::consts::PI;
+use symmetric::Groups;
 
 /// The solved radiosity of a scene; every vector holds one value an element.
 #[derive(Debug, Clone)]
@@ -227,7 +228,8 @@ pub fn solve_irradiance(
     let rows = Rows::from(matrix);
     let sums = matrix.multiply(&vec![Rgb::ONE; matrix.len()]);
     let exchange = exchange::Exchange::new(rows, &sums);
-    solve::solve(&exchange, transport, &Acceleration::Balance, incident, None, tolerance)
+    let acceleration = Acceleration::Balance(Groups::new(&vec![0; matrix.len()]));
+    solve::solve(&exchange, transport, &acceleration, incident, None, tolerance)
 }
 
 /// Diffuse reflection and transmission at the elements.

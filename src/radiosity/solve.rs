@@ -14,7 +14,7 @@
 use super::Transport;
 use super::coarse::Coarse;
 use super::exchange::{Exchange, MANY, residual_operator, round};
-use super::symmetric::Symmetric;
+use super::symmetric::{Groups, Symmetric};
 use crate::color::Rgb;
 use crate::{Error, Result};
 use rayon::prelude::*;
@@ -59,8 +59,8 @@ impl Convergence {
 
 /// What makes steps few.
 pub(super) enum Acceleration<'a, 'm> {
-    /// The mean light of the scene as a first guess.
-    Balance,
+    /// The mean light of the scene as a first guess; of groups, errors are looked at apart.
+    Balance(Groups),
     /// A coarse grid.
     Coarse(Coarse),
     /// Reciprocity.
@@ -142,7 +142,7 @@ pub(super) fn solve(
             }
             x
         }
-        Acceleration::Balance => {
+        Acceleration::Balance(_) => {
             let mut state = Krylov::balanced(incident, &apply(incident), &bound.ones);
             for restart in 0..RESTARTS {
                 if restart > 0 {

@@ -26,7 +26,7 @@ pub(super) struct Symmetric<'a, 'm> {
     transport: &'a Transport,
     /// Weights of the inner product, `a_i rho_i` [m^2].
     weight: Vec<Rgb>,
-    group: Vec<u16>,
+    pub groups: Groups,
     /// Cholesky factor of the groups' matrix, by channel.
     coarse: [Cholesky; 3],
 }
@@ -41,13 +41,14 @@ impl<'a, 'm> Symmetric<'a, 'm> {
         let balance = exchange.balance()?;
         let rho = &transport.reflectance;
         let weight: Vec<Rgb> = rho.iter().zip(&balance.open).map(|(r, a)| *r * *a).collect();
-        let (group, groups) = grouped(side);
-        let mut matrix = balance.by_groups(&group, groups, rho);
-        for (i, g) in group.iter().enumerate() {
-            matrix[usize::from(*g) * (groups + 1)] += weight[i] * (Rgb::ONE - rho[i] * balance.target[i]);
+        let groups = Groups::new(side);
+        let mut matrix = balance.by_groups(&groups.of, groups.count, rho);
+        for (i, g) in groups.of.iter().enumerate() {
+            matrix[usize::from(*g) * (groups.count + 1)] +=
+                weight[i] * (Rgb::ONE - rho[i] * balance.target[i]);
         }
-        let coarse = [0, 1, 2].map(|c| Cholesky::new(matrix.iter().map(|m| m[c]).collect(), groups));
-        Some(Symmetric { exchange, transport, weight, group, coarse })
+        let coarse = [0, 1, 2].map(|c| Cholesky::new(matrix.iter().map(|m| m[c]).collect(), groups.count));
+        Some(Symmetric { exchange, transport, weight, groups, coarse })
     }
 
     /// `A x`.
@@ -105,33 +106,47 @@ impl<'a, 'm> Symmetric<'a, 'm> {
     }
 
     fn precondition(&self, r: &[Rgb]) -> Vec<Rgb> {
-        let mut sums = vec![Rgb::ZERO; self.coarse[0].n];
-        for ((g, r), w) in self.group.iter().zip(r).zip(&self.weight) {
-            sums[usize::from(*g)] += *r * *w;
-        }
+        let sums = self.groups.sums(r.iter().zip(&self.weight).map(|(r, w)| *r * *w));
         let solved = [0, 1, 2].map(|c| self.coarse[c].solve(sums.iter().map(|s| s[c]).collect()));
         let means: Vec<Rgb> =
             (0..sums.len()).map(|g| Rgb::new(solved[0][g], solved[1][g], solved[2][g])).collect();
-        r.iter().zip(&self.group).map(|(r, g)| *r + means[usize::from(*g)]).collect()
+        r.iter().zip(&self.groups.of).map(|(r, g)| *r + means[usize::from(*g)]).collect()
     }
 }
 
-/// The group of each element, and how many there are: sides, as long as they are few, else equal runs of elements.
-fn grouped(side: &[u32]) -> (Vec<u16>, usize) {
-    let mut group = Vec::with_capacity(side.len());
-    let (mut count, mut last) = (0usize, u32::MAX);
-    for s in side {
-        if *s != last {
-            count += 1;
-            last = *s;
+/// Elements in groups: sides of faces as long as these are few, else equal runs of elements.
+pub(super) struct Groups {
+    /// The group of each element.
+    of: Vec<u16>,
+    count: usize,
+}
+
+impl Groups {
+    /// `side` tells the side of a face by element, in runs.
+    pub fn new(side: &[u32]) -> Groups {
+        let mut of = Vec::with_capacity(side.len());
+        let (mut count, mut last) = (0usize, u32::MAX);
+        for s in side {
+            if *s != last {
+                count += 1;
+                last = *s;
+            }
+            of.push((count - 1).min(MOST_GROUPS) as u16);
         }
-        group.push((count - 1).min(MOST_GROUPS) as u16);
+        if count > MOST_GROUPS {
+            let n = side.len();
+            of = (0..n).map(|i| (i * MOST_GROUPS / n) as u16).collect();
+            count = MOST_GROUPS;
+        }
+        Groups { of, count }
     }
-    if count > MOST_GROUPS {
-        let n = side.len();
-        return ((0..n).map(|i| (i * MOST_GROUPS / n) as u16).collect(), MOST_GROUPS);
+
+    /// Sums over each group of what elements have.
+    pub fn sums(&self, values: impl Iterator<Item = Rgb>) -> Vec<Rgb> {
+        let mut sums = vec![Rgb::ZERO; self.count];
+        self.of.iter().zip(values).for_each(|(g, v)| sums[usize::from(*g)] += v);
+        sums
     }
-    (group, count)
 }
 
 /// `L L^T` of a positive semidefinite matrix; unknowns without a pivot stay zero.
@@ -184,9 +199,10 @@ mod tests {
 
     #[test]
     fn groups_are_sides_or_runs() {
-        assert_eq!(grouped(&[7, 7, 2, 2, 9]), (vec![0, 0, 1, 1, 2], 3));
+        let few = Groups::new(&[7, 7, 2, 2, 9]);
+        assert_eq!((few.of, few.count), (vec![0, 0, 1, 1, 2], 3));
         let many: Vec<u32> = (0..1000).collect();
-        let (group, count) = grouped(&many);
-        assert_eq!((count, group[0], group[999]), (MOST_GROUPS, 0, MOST_GROUPS as u16 - 1));
+        let Groups { of, count } = Groups::new(&many);
+        assert_eq!((count, of[0], of[999]), (MOST_GROUPS, 0, MOST_GROUPS as u16 - 1));
     }
 }

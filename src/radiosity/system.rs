@@ -4,7 +4,7 @@ use super::Transport;
 use super::coarse::{self, Coarse};
 use super::exchange::{Exchange, residual_operator};
 use super::solve::{self, Acceleration, Convergence};
-use super::symmetric::Symmetric;
+use super::symmetric::{Groups, Symmetric};
 use crate::color::Rgb;
 use crate::form_factor::{Check, Rows};
 use crate::mesh::Mesh;
@@ -55,7 +55,7 @@ impl<'m> System<'m> {
         match (Symmetric::new(&self.exchange, &self.transport, &self.side), many) {
             (Some(symmetric), _) => Acceleration::Symmetric(symmetric),
             (None, Some(matrix)) => Acceleration::Coarse(Coarse::new(scene, mesh, matrix, &self.transport)),
-            (None, None) => Acceleration::Balance,
+            (None, None) => Acceleration::Balance(Groups::new(&self.side)),
         }
     }
 

@@ -17,7 +17,7 @@
 use super::Transport;
 use super::exchange::{Exchange, MANY, round};
 use super::solve::{Acceleration, Krylov, combine, norm, subtract};
-use super::symmetric::Symmetric;
+use super::symmetric::{Groups, Symmetric};
 use crate::color::Rgb;
 use crate::form_factor::Row;
 use crate::mesh::{Lattice, Mesh};
@@ -33,6 +33,11 @@ const REPLICAS: usize = 16;
 const TOGETHER: usize = 4;
 /// Relative residual of a replica's solve.
 const ROUGH: f64 = 0.05;
+/// Sum of the residuals of a group of elements, over what the sum of its right-hand sides should be, were they independent. Rooms of
+/// their own that lose little of their light have errors that grow far beyond their small part in a norm over all.
+const ROUGH_SUM: f64 = 0.5;
+/// Mean share of light that a group loses at a bounce from which its errors do not grow.
+const LOSSY: f64 = 0.1;
 /// Most steps of a replica's solve, of two multiplications.
 const MOST_STEPS: usize = 30;
 
@@ -248,13 +253,33 @@ impl Replicas {
 /// What errors `b` of the gathered light come to, to first order.
 fn linear(exchange: &Exchange, transport: &Transport, symmetric: &Symmetric, b: &[Rgb]) -> Vec<[f32; 3]> {
     let norm = symmetric.norm(b);
+    let scatter = scatter(&symmetric.groups, b);
     let done = |_: &[Rgb], r: &[Rgb]| {
-        let r = symmetric.norm(r);
-        (0..3).all(|c| r[c] <= ROUGH * norm[c])
+        let size = symmetric.norm(r);
+        (0..3).all(|c| size[c] <= ROUGH * norm[c]) && is_settled(&symmetric.groups, r, &scatter)
     };
     let (x, _) = symmetric.solve(b, b.to_vec(), done, MOST_STEPS);
     let gathered = exchange.gather(&transport.reflect(&x));
     b.iter().zip(&gathered).map(|(b, g)| (*b + *g).as_vec3().to_array()).collect()
+}
+
+/// By group, the standard deviation of a sum of independent values as large as these.
+fn scatter(groups: &Groups, b: &[Rgb]) -> Vec<Rgb> {
+    groups.sums(b.iter().map(|b| *b * *b)).into_iter().map(|s| s.map(f64::sqrt)).collect()
+}
+
+/// The same where groups lose little of their light, infinite where they lose much; `ones` is `A 1`.
+fn scatter_of_lossless(groups: &Groups, b: &[Rgb], ones: Vec<Rgb>) -> Vec<Rgb> {
+    let (lost, counts) = (groups.sums(ones.into_iter()), groups.sums(b.iter().map(|_| Rgb::ONE)));
+    let keep =
+        |((s, lost), count): ((Rgb, Rgb), &Rgb)| Rgb::select(lost.cmplt(LOSSY * *count), s, Rgb::INFINITY);
+    scatter(groups, b).into_iter().zip(lost).zip(&counts).map(keep).collect()
+}
+
+/// Whether the residuals of each group add up to little beside the scatter of the right-hand sides.
+fn is_settled(groups: &Groups, r: &[Rgb], scatter: &[Rgb]) -> bool {
+    let sums = groups.sums(r.iter().copied());
+    sums.iter().zip(scatter).all(|(sum, s)| sum.abs().cmple(ROUGH_SUM * *s).all())
 }
 
 fn wide(d: &[[f32; 3]]) -> Vec<Rgb> {
@@ -393,7 +418,7 @@ impl Turn<'_, '_> {
             for system in systems.iter_mut().zip(&near).filter(|(_, near)| **near).map(|s| s.0) {
                 system.x = system.r.clone();
             }
-            self.run(&mut systems, &norms, near.iter().map(|near| !near).collect());
+            self.run(&mut systems, &norms, &[], near.iter().map(|near| !near).collect());
             let moved = |(x, s): (&Vec<Rgb>, &Krylov)| combine(x, Rgb::ONE, &coarse.precondition(&s.x));
             return guess.iter().zip(&systems).map(moved).collect();
         }
@@ -409,16 +434,27 @@ impl Turn<'_, '_> {
             .map(|(m, (b, a_b))| Krylov::balanced(b, &a_b, &ones(m)))
             .collect();
         let alive = vec![true; systems.len()];
-        self.run(&mut systems, &norms, alive);
+        let scatters: Vec<Vec<Rgb>> = match self.acceleration {
+            Acceleration::Balance(groups) => {
+                b.iter().enumerate().map(|(m, b)| scatter_of_lossless(groups, b, ones(m))).collect()
+            }
+            _ => Vec::new(),
+        };
+        self.run(&mut systems, &norms, &scatters, alive);
         // What is left of the residuals is small beside them all, but not beside what the mean light loses at a bounce: balance again.
         systems.into_iter().enumerate().map(|(m, s)| s.balance(&ones(m))).collect()
     }
 
-    /// Improves the systems that are `alive` and further than [`ROUGH`] from `norms`, preconditioned where there is a coarse grid.
-    fn run(&self, systems: &mut [Krylov], norms: &[Rgb], mut alive: Vec<bool>) {
+    /// Improves the systems that are `alive` and further than [`ROUGH`] from `norms`, or by groups than [`ROUGH_SUM`] from
+    /// `scatters`; preconditioned where there is a coarse grid.
+    fn run(&self, systems: &mut [Krylov], norms: &[Rgb], scatters: &[Vec<Rgb>], mut alive: Vec<bool>) {
+        let settled = |m: usize, s: &Krylov| match (self.acceleration, scatters.get(m)) {
+            (Acceleration::Balance(groups), Some(scatter)) => is_settled(groups, &s.r, scatter),
+            _ => true,
+        };
         for _ in 0..MOST_STEPS {
             for (m, s) in systems.iter().enumerate() {
-                alive[m] &= s.relative(norms[m]) > ROUGH;
+                alive[m] &= s.relative(norms[m]) > ROUGH || !settled(m, s);
             }
             if alive.iter().all(|a| !a) {
                 break;
