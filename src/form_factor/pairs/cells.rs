@@ -50,6 +50,8 @@ pub struct Cells {
     /// Doubt in cells (bits of a number that is not negative) and their places.
     worst: BinaryHeap<(u64, usize)>,
     looker: Looker,
+    /// Most that any point sees, as a share of what there is to be seen.
+    most: f64,
     /// Points of a cell and what they see.
     seen: Vec<(DVec3, f64)>,
 }
@@ -74,8 +76,8 @@ struct Value {
     mixed: f64,
     /// In the cell's plane, the direction in which what is seen changes most.
     across: DVec3,
-    /// Where outlines of several bodies may cross: the range of what points see, as a share of what there is to be seen.
-    range: f64,
+    /// Outlines of several bodies may cross, where views bend.
+    crossed: bool,
     /// What the points let expect of each corner's view, as a share likewise.
     ends: [f32; MOST_CORNERS],
     /// Largest difference of a corner's view from that, where corners looked.
@@ -127,6 +129,7 @@ impl Cells {
         self.split(a, b, bodies);
         self.halve(b.middle());
         let target = Target::new(b, a, bodies);
+        self.most = 0.0;
         for k in 0..self.cells.len() {
             let polygon = self.cells[k].polygon;
             self.cells[k].value = self.value(&polygon, &target);
@@ -136,7 +139,7 @@ impl Cells {
         let least = 0.5 * accuracy.allowed(found.value) * self.total().1 / count as f64;
         for k in 0..count {
             let mut cell = self.cells[k];
-            if Self::may_hide_a_bend(&cell, found.value, least) {
+            if self.may_hide_a_bend(&cell, found.value, least) {
                 self.looker.enter(&cell.polygon, &target);
                 self.look_from_corners(&mut cell, &target);
                 self.cells[k].value.bent = cell.value.bent;
@@ -186,16 +189,17 @@ impl Cells {
     /// A part of a cell in doubt, which looks from its corners where that can matter.
     fn cell(&mut self, polygon: &Polygon, target: &Target, share: f64, least: f64) -> Cell {
         let mut cell = Cell { polygon: *polygon, value: self.value(polygon, target), moved: 0.0 };
-        if Self::may_hide_a_bend(&cell, share, least) {
+        if self.may_hide_a_bend(&cell, share, least) {
             self.look_from_corners(&mut cell, target);
         }
         cell
     }
 
-    /// Whether a view that bends between the points and a corner would cast doubt of more than `least` on a cell without
-    /// any.
-    fn may_hide_a_bend(cell: &Cell, share: f64, least: f64) -> bool {
-        BENT * cell.value.whole * cell.value.range > least.max(cell.doubt(share))
+    /// Whether a view that bends between the points and a corner would cast more doubt than there is on a cell, and more than
+    /// `least`. Where all points see the same, or nothing, a corner may see as much as any other point.
+    fn may_hide_a_bend(&self, cell: &Cell, share: f64, least: f64) -> bool {
+        let v = &cell.value;
+        v.crossed && BENT * v.whole * self.most > least.max(cell.doubt(share))
     }
 
     /// Compares what a cell's corners see, the looker being there, with what its points let expect.
@@ -293,12 +297,13 @@ impl Cells {
         let begins = !self.looker.is_even() && (low == 0.0 || high == 1.0);
         let spread = (high - low).max(0.0);
         let mixed = if begins { spread } else { 0.0 };
-        let range = if self.looker.is_crossed() { spread } else { 0.0 };
+        let crossed = self.looker.is_crossed();
+        self.most = self.most.max(high);
         // Of any third degree, the rule of the edges misses -9 times as much as the inner one.
         let both = 0.9 * inner + 0.1 * edges;
         let off = inner - edges;
         let across = across(cell, &self.seen);
-        Value { seen: both.x, whole: both.y, off: (off.x, off.y), mixed, across, range, ends, bent: 0.0 }
+        Value { seen: both.x, whole: both.y, off: (off.x, off.y), mixed, across, crossed, ends, bent: 0.0 }
     }
 
     /// Cuts polygon `a` where an edge of a body passes a corner of `b`.
