@@ -11,9 +11,10 @@
 //! second degree with different points tell how far both are off; they can agree by chance, so the doubt that they state
 //! is no bound. Where they differ by too much, cells are first halved both ways, to look between the points, and then the
 //! worst one time after time, across the direction in which the view changes most: from the side of a frame that stands two
-//! centimetres under a ceiling, the view opens within a millimetre along a metre of edge. Measured, of factors above 1e-6
-//! that were asked for to 1 %: none of 496,033 of the Cornell box is farther off (0.8 % at most), 12 of 139,937 on larger elements
-//! (1.7 % at most), and 16 of 54,976 of the gallery, where up to 64 bodies lie between (7 % at most).
+//! centimetres under a ceiling, the view opens within a millimetre along a metre of edge. Where outlines of several bodies may
+//! cross, views can bend between all points and a corner of a cell; there corners look too, wherever that could matter.
+//! Measured, of factors above 1e-6 that were asked for to 1 %: none of 140,130 of the Cornell box on 532 elements is off by more
+//! than 0.8 %, where without the corners' looks twelve were by more than 1 % (1.7 % at most), for a twentieth more time.
 
 use super::body::{Body, PlaneSet};
 use super::look::{Looker, Target};
