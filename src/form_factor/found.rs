@@ -75,12 +75,20 @@ impl Found {
             ));
         }
         if let (Some(asked), Some(achieved)) = (asked, self.achieved) {
-            if achieved > asked {
-                let most = match self.pairs() {
-                    Some(found) if found.counts.cells > 0 => "the finest cells".to_string(),
-                    Some(_) => format!("{} points a pair", pairs::MOST_POINTS * pairs::BATCHES as u32),
-                    None => format!("{MOST_RAYS} rays an element"),
-                };
+            let most = match self.pairs() {
+                Some(found) if found.counts.cells > 0 => "the finest cells".to_string(),
+                Some(_) => format!("{} points a pair", pairs::MOST_POINTS * pairs::BATCHES as u32),
+                None => format!("{MOST_RAYS} rays an element"),
+            };
+            let each = self.pairs().filter(|found| found.is_asked());
+            if let Some(m) = each.and_then(PairFactors::misses) {
+                let (error, i, j) = m.worst;
+                warnings.push(format!(
+                    "--error {asked} not met by {} of {} factors above {}: their standard errors are larger, {error:.2e} at most \
+                     (from element {i} to {j})",
+                    m.count, m.of, m.floor
+                ));
+            } else if each.is_none() && achieved > asked {
                 warnings.push(format!(
                     "--error {asked} not met: {achieved:.2e} with {most}, the most that are tried"
                 ));

@@ -15,14 +15,16 @@ fn hemisphere(rays: u32) -> Casting<'static> {
     }
 }
 
+/// One of 60 strips of a blind half-way between two unit squares.
+fn strip(k: usize) -> Vec<Point> {
+    let x = k as f64 / 60.0;
+    vec![[x, 0.0, 0.5], [x + 1.0 / 180.0, 0.0, 0.5], [x + 1.0 / 180.0, 1.0, 0.5], [x, 1.0, 0.5]]
+}
+
 /// More faces in the shaft than shadows are cut from: 60 strips hide a third of the way, rays count. The strips
 /// of a blind are as good as one blocker each, so the pair estimate must agree with hemisphere rays.
 #[test]
 fn many_blockers_take_rays() {
-    let strip = |k: usize| {
-        let x = k as f64 / 60.0;
-        vec![[x, 0.0, 0.5], [x + 1.0 / 180.0, 0.0, 0.5], [x + 1.0 / 180.0, 1.0, 0.5], [x, 1.0, 0.5]]
-    };
     let scene = scene(&[
         ("a", vec![square(0.0, true)]),
         ("b", vec![square(1.0, false)]),
@@ -41,6 +43,62 @@ fn many_blockers_take_rays() {
     let error = t.standard_errors[0][1].hypot(h.standard_errors[0][1]);
     eprintln!("{f:.6} by pairs, {g:.6} by hemisphere rays, +- {error:.1e}");
     assert!((f - g).abs() <= T15 * error && error < 0.03 * g);
+}
+
+/// Errors that no number of rays meets are counted, and the largest is given with its elements; the same pairs meet one within reach.
+#[test]
+fn errors_that_are_not_met_are_counted() {
+    let scene = scene(&[
+        ("a", vec![square(0.0, true)]),
+        ("b", vec![square(1.0, false)]),
+        ("blind", (0..60).map(strip).collect()),
+    ]);
+    let device = device();
+    let visibility = Visibility::new(&device, &scene).expect("tree");
+    let mesh = Mesh::new(&scene, &Sides::fronts(&scene), 1e9, true).expect("mesh");
+    for (error, missed) in [(0.1, 0), (1e-5, 2)] {
+        let asked = Request { error: Some(error), floor: 1e-6, by_object: false, ..request(16, 5) };
+        let found = estimate(&visibility, &mesh, &asked);
+        let pairs = found.pairs().expect("an error was asked for");
+        let warnings = found.warnings(&scene, Some(error));
+        let Some(misses) = pairs.misses() else {
+            assert!(missed == 0 && warnings.is_empty(), "{warnings:?}");
+            continue;
+        };
+        assert_eq!((misses.count, misses.worst.1, misses.worst.2), (missed, 0, 1));
+        let (f, e) = pairs.factor(0, 1);
+        assert!((misses.worst.0 - e / f).abs() < 1e-12 && e / f > error);
+        let text = format!("not met by 2 of {} factors", misses.of);
+        assert!(warnings.len() == 1 && warnings[0].contains(&text), "{warnings:?}");
+    }
+}
+
+/// No factor of the Cornell box is farther than what was asked for from what a hundredth of that finds: views of the back wall
+/// past both blocks bend where no point of a cell is.
+#[test]
+fn views_that_bend_between_points() {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/cornell/cornell.toml");
+    let scene = twopass::scene::load(&path).expect("scene");
+    let device = device();
+    let visibility = Visibility::new(&device, &scene).expect("tree");
+    let mesh = Mesh::new(&scene, &Sides::fronts(&scene), 0.11, true).expect("mesh");
+    let find = |error: f64| {
+        let asked = Request { error: Some(error), floor: 1e-6, by_object: false, ..request(16, 0) };
+        estimate(&visibility, &mesh, &asked)
+    };
+    let (quick, fine) = (find(0.01), find(1e-4));
+    let [quick, fine] = [&quick, &fine].map(|found| found.pairs().expect("an error was asked for"));
+    assert_eq!(quick.misses(), None);
+    let (mut count, mut worst) = (0, 0.0f64);
+    for i in 0..mesh.len() {
+        for (j, f) in fine.row(i).filter(|(_, f)| *f > 1e-6) {
+            let off = (quick.factor(i, j).0 / f - 1.0).abs();
+            assert!(off <= 0.01, "from {i} to {j}: {}, {f}", quick.factor(i, j).0);
+            (count, worst) = (count + 1, worst.max(off));
+        }
+    }
+    eprintln!("{count} factors off by {worst:.1e} at most");
+    assert!(count > 100_000);
 }
 
 /// A closed room with a block on its floor, element by element: rows close without hemisphere rays having any part in it,

@@ -17,7 +17,7 @@ mod polygon;
 mod quadrature;
 
 pub use lambert::{differential, lambert};
-pub use polygon::{Cut, Polygon};
+pub use polygon::{Cut, MOST_CORNERS, Polygon};
 
 use contour::contour;
 use quadrature::{MOST_ORDER, kernel, points};

@@ -120,6 +120,11 @@ impl Looker {
         self.covered || self.active.len() < 2 && self.views[..self.active.len()].iter().all(|v| v.cuts)
     }
 
+    /// Several bodies may hide something from the cell: where their outlines cross within the polygon, views bend.
+    pub fn is_crossed(&self) -> bool {
+        !self.covered && self.active.len() > 1
+    }
+
     /// Finds the shadow of an active body; false where the point lies within the body.
     #[inline]
     fn find_shadow(&mut self, viewer: DVec3, active: usize, target: &Target) -> bool {

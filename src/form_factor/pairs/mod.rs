@@ -121,6 +121,21 @@ pub struct PairFactors {
     /// By object pair: exchange area [m^2] and its variance, summed over elements, whose points are independent.
     objects: Vec<(f64, f64)>,
     object_count: usize,
+    /// Relative error that was asked of each factor, and the floor that it was asked above.
+    asked: Option<(f64, f64)>,
+}
+
+/// Factors whose standard error is larger than asked.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Misses {
+    /// How many they are, both directions.
+    pub count: usize,
+    /// How many factors lie above the floor.
+    pub of: usize,
+    /// The floor.
+    pub floor: f64,
+    /// Largest relative standard error and the elements that it is between.
+    pub worst: (f64, usize, usize),
 }
 
 /// Everything that does not change from pair to pair.
@@ -183,6 +198,7 @@ impl PairFactors {
             rays: 0,
             objects: vec![(0.0, 0.0); m * m],
             object_count: m,
+            asked: work.error.map(|error| (error, work.floor)),
         };
         for (i, row) in rows.into_iter().enumerate() {
             all.exchange.extend_from_slice(&row.exchange);
@@ -323,6 +339,33 @@ impl PairFactors {
             }
         }
         worst
+    }
+
+    /// Whether an error was asked of each factor.
+    pub fn is_asked(&self) -> bool {
+        self.asked.is_some()
+    }
+
+    /// The factors that miss the error asked for; none where all meet it or nothing was asked of them.
+    pub fn misses(&self) -> Option<Misses> {
+        let (asked, floor) = self.asked?;
+        // Errors are kept in f32.
+        let most = asked * (1.0 + f64::from(f32::EPSILON));
+        let mut misses = Misses { count: 0, of: 0, floor, worst: (0.0, 0, 0) };
+        for i in 0..self.n {
+            for j in (0..self.n).filter(|j| *j != i) {
+                let (f, e) = self.factor(i, j);
+                if f <= floor {
+                    continue;
+                }
+                misses.of += 1;
+                misses.count += usize::from(e > most * f);
+                if e > misses.worst.0 * f {
+                    misses.worst = (e / f, i, j);
+                }
+            }
+        }
+        (misses.count > 0).then_some(misses)
     }
 
     /// Exchange area between objects a and b [m^2] and its standard error.

@@ -246,7 +246,7 @@ impl Shared<'_, '_> {
         };
         let part = found.value > 0.0 && found.value < 1.0;
         let least = if part { LEAST * found.value } else { 0.0 };
-        let variance = found.error * found.error + least * least;
+        let variance = found.error.max(least).powi(2);
         let missed = self.work.error.is_some()
             && found.error > relative * found.value
             && largest * found.value > self.work.floor;
