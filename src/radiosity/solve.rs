@@ -170,7 +170,8 @@ pub(super) fn solve(
             "radiosity",
             format!(
                 "no steady state found: error {error:.1e} after {iterations} steps (wanted {tolerance:.0e}); the \
-                 largest albedo is {}: in a closed scene it must stay below 1",
+                 largest albedo is {}: in a closed scene it must stay below 1, and where little is lost the noise of the \
+                 factors must not hide that: cast more rays (--rays)",
                 transport.largest()
             ),
         ));
