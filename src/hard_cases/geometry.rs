@@ -10,6 +10,7 @@ use crate::render::{Method, Quality};
 use crate::scene::Scene;
 use crate::visibility::Visibility;
 use glam::DVec3;
+use std::f64::consts::PI;
 
 const fn case(
     name: &'static str,
@@ -54,6 +55,7 @@ pub(super) const CASES: &[Case] = &[
     case("box of 1e-4 of the hall", "offsets as large as the object", "furnace", || small_box(1e-4)),
     case("box of 1e-6 of the hall", "as above", "furnace", || small_box(1e-6)),
     case("small box off the centre", "as above", "furnace", small_box_aside),
+    case("slanted plate of 3e-5 of the hall", "offsets through the floor", "furnace", slanted),
     case("room in nanometres", "absolute epsilons", "furnace", || sized_room(1e-9)),
     case("room in kilometres", "absolute epsilons", "furnace", || sized_room(1e3)),
     case("room 1e3 away", "coordinates cancel", "image at the origin", || far_room(1e3)),
@@ -276,6 +278,18 @@ fn box_in_hall(share: f64, at: Point) -> Result<Outcome> {
         .map(|n| (n, 1.0 / (1.0 - ALBEDO)))
         .into();
     compare(&result, &answers)
+}
+
+/// A plate that shines on both sides, one edge of it on the floor, its front towards that at six degrees.
+fn slanted() -> Result<Outcome> {
+    let (at, size, height) = (0.6, 3e-5, 3e-6);
+    let ends = [[at, at + size, height], [at + size, at + size, height], [at + size, at, 0.0], [at, at, 0.0]];
+    let text = SceneText::new()
+        .cuboid("", |_| "m".into(), [0.0; 3], [1.0; 3], true)
+        .polygon("plate", "plate", &ends)
+        .diffuse("m", ALBEDO, 1.0)
+        .material("plate", &format!("diffuse = {ALBEDO}\nemission = {}\nemit_both_sides = true", 1.0 / PI));
+    solved(&text, 4096, Some(0.25), &["", "plate"].map(|n| (n, 1.0 / (1.0 - ALBEDO))))
 }
 
 fn sized_room(metres: f64) -> Result<Outcome> {

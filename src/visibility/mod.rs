@@ -1,6 +1,7 @@
 //! Every visibility question: the only caller of Embree, and the one place that decides where rays start and which of
 //! their hits count (`offset.rs` gives the reasons).
 
+mod contact;
 mod offset;
 mod reach;
 mod sides;
@@ -69,7 +70,8 @@ impl<'s> Visibility<'s> {
         let quads: Vec<[u32; 4]> = quads.iter().map(|f| f.vertices).collect();
         let embree = CommittedScene::new(device, &vertices, &triangles, &quads)?;
         let normals = scene.faces.iter().map(|f| f.normal.as_vec3()).collect();
-        let (offsets, closed) = offset::offsets(scene);
+        let (mut offsets, closed) = offset::offsets(scene);
+        contact::widen(scene, &embree, &mut offsets);
         Ok(Visibility { scene, embree, normals, offsets, closed })
     }
 
@@ -88,9 +90,10 @@ impl<'s> Visibility<'s> {
         if unresolved.len() > names.len() {
             names.push("...".into());
         }
+        let are = if total == 1 { "face is" } else { "faces are" };
         vec![format!(
-            "{total} faces are too small, too thin or meet at too small an angle for single precision in a scene of this \
-             size; light near them may be wrong ({})",
+            "{total} {are} too small, too thin or at too small an angle to others for single precision in a scene of this \
+             size; light near there may be wrong ({})",
             names.join(", ")
         )]
     }

@@ -18,7 +18,8 @@
 //! **No leak.** Where two faces meet at an angle `a`, a point nearer to the common edge than `lift cot(a / 2)` could be lifted
 //! through the other face, or be rounded to its far side. Points that close are moved away from the edge,
 //! within their own face: the **margin**. A wedge looks alike at every distance from its edge, so the light
-//! there is the same. Free edges have the margin of a right angle, since other faces may touch there.
+//! there is the same. Free edges have the margin of a right angle, since other faces may touch there; where an edge of a small
+//! face lies on another face, `contact.rs` finds their angle.
 //! Edges are the same if their ends are the same in single precision.
 //!
 //! **What is left.** A face of which the margins would take more than a quarter is too small for
@@ -34,7 +35,7 @@ const UNIT: f64 = 1.0 / 16_777_216.0;
 /// A segment ends by this share of its length before its target.
 pub(super) const SHORTER: f32 = 1.0 - 8.0 / 16_777_216.0;
 /// Largest share of a face's height that a margin takes.
-const WIDEST: f64 = 0.25;
+pub(super) const WIDEST: f64 = 0.25;
 
 /// How far rays of one face start from its plane and its edges.
 #[derive(Debug, Clone, Copy)]
@@ -104,20 +105,20 @@ pub(super) fn shared_edges(scene: &Scene) -> Vec<(EdgeKey, u32, u8)> {
     edges
 }
 
-fn edge_ends(scene: &Scene, face: u32, edge: usize) -> (DVec3, DVec3) {
+pub(super) fn edge_ends(scene: &Scene, face: u32, edge: usize) -> (DVec3, DVec3) {
     let f = &scene.faces[face as usize];
     let corners = if f.is_triangle() { 3 } else { 4 };
     (scene.corner(f, edge), scene.corner(f, (edge + 1) % corners))
 }
 
 /// Unit vector from an edge into its face, in the face's plane.
-fn inward(scene: &Scene, face: u32, edge: usize) -> DVec3 {
+pub(super) fn inward(scene: &Scene, face: u32, edge: usize) -> DVec3 {
     let (a, b) = edge_ends(scene, face, edge);
     scene.faces[face as usize].normal.cross(b - a).normalize_or_zero()
 }
 
 /// Height of a face over one of its edges.
-fn height(scene: &Scene, face: u32, edge: usize) -> f64 {
+pub(super) fn height(scene: &Scene, face: u32, edge: usize) -> f64 {
     let (a, b) = edge_ends(scene, face, edge);
     let f = &scene.faces[face as usize];
     f.area * if f.is_triangle() { 2.0 } else { 1.0 } / a.distance(b).max(f64::MIN_POSITIVE)
