@@ -31,6 +31,19 @@ pub(super) struct Cut {
     pub kept: Vec<u32>,
     /// Object of each translucent face that became one surface with an opaque one.
     pub joined: Vec<u32>,
+    /// Object of the smaller of two faces that are not in one plane but nearer to each other than rays can tell.
+    pub narrow: Vec<u32>,
+}
+
+/// How two faces lie that may be in one plane.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Overlap {
+    /// With no more than an edge in common, seen from the front, or well apart.
+    Apart,
+    /// Apart, but not as far as rays start from both.
+    Narrow,
+    /// In one plane, as far as rays can tell, with more than an edge in common.
+    OnePlane,
 }
 
 /// What becomes of a face.
@@ -138,7 +151,13 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
                 {
                     continue;
                 }
-                if overlap(a.face, b.face, faces, points, center) {
+                let overlap = overlap(a.face, b.face, faces, points, center);
+                if overlap == Overlap::Narrow {
+                    let smaller = [a.face, b.face].map(|k| &faces[k as usize]).into_iter();
+                    let smaller = smaller.min_by(|a, b| a.area.total_cmp(&b.area));
+                    result.narrow.extend(smaller.map(|f| f.object));
+                }
+                if overlap == Overlap::OnePlane {
                     let (x, y) = (rank(a.face), rank(b.face));
                     let [a_joins, b_joins] = [joins(a.face, b.face), joins(b.face, a.face)];
                     let a_wins = b_joins || !a_joins && (x.0, x.1, x.2) < (y.0, y.1, y.2);
@@ -271,25 +290,32 @@ fn plane_key(face: &Face, points: &[DVec3], center: DVec3, radius: f64) -> [i64;
     [cell(n.x, NORMAL_CELL), cell(n.y, NORMAL_CELL), cell(n.z, NORMAL_CELL), cell(d, DISTANCE_CELL)]
 }
 
-/// Whether two faces lie in one plane, as far as rays can tell, and have more than an edge in common.
-fn overlap(a: u32, b: u32, faces: &[Face], points: &[DVec3], center: DVec3) -> bool {
+fn overlap(a: u32, b: u32, faces: &[Face], points: &[DVec3], center: DVec3) -> Overlap {
     let (a, b) = (&faces[a as usize], &faces[b as usize]);
     let (pa, pb) = (corners(a, points), corners(b, points));
-    let apart = |f: &Face, p: &[DVec3], other: &[DVec3]| {
+    // How far the other face's corners are from a face's plane, and how far they may be.
+    let distance = |f: &Face, p: &[DVec3], other: &[DVec3]| {
         let most = p.iter().fold(DVec3::ZERO, |m, p| m.max((*p - center).abs()));
         let longest = p.iter().map(|q| q.distance(p[0])).fold(0.0, f64::max);
-        let tolerance = APART * (f.normal.abs().dot(most) + longest);
-        other.iter().any(|q| f.normal.dot(*q - p[0]).abs() > tolerance)
+        let far = other.iter().map(|q| f.normal.dot(*q - p[0]).abs()).fold(0.0, f64::max);
+        (far, APART * (f.normal.abs().dot(most) + longest))
     };
-    if apart(a, &pa, &pb) || apart(b, &pb, &pa) {
-        return false;
+    let [(far_a, most_a), (far_b, most_b)] = [distance(a, &pa, &pb), distance(b, &pb, &pa)];
+    let one_plane = far_a <= most_a && far_b <= most_b;
+    // Rays start half that far from a face.
+    if !one_plane && far_a.max(far_b) > 0.5 * (most_a + most_b) {
+        return Overlap::Apart;
     }
     let mut common = flatten(a, &pb);
     let cutter = flatten(a, &pa);
     for k in 0..cutter.len() {
         common = half(&common, cutter[k], cutter[(k + 1) % cutter.len()], true);
     }
-    area(&common).abs() > LEAST_OVERLAP * a.area.min(b.area)
+    match area(&common).abs() > LEAST_OVERLAP * a.area.min(b.area) {
+        false => Overlap::Apart,
+        true if one_plane => Overlap::OnePlane,
+        true => Overlap::Narrow,
+    }
 }
 
 /// Points in the plane of a face, counter-clockwise.
@@ -458,6 +484,21 @@ mod tests {
         for (object, material, expected) in [(0, 0, 0.8), (0, 2, 0.2), (1, 1, 0.1)] {
             let found = area(object, material);
             assert!((found - expected).abs() < 1e-12, "object {object}, material {material}: {found}");
+        }
+    }
+
+    /// A gap that rays from a small plate resolve but not those from a large floor below.
+    #[test]
+    fn gaps_that_are_too_narrow_are_named() {
+        for (gap, narrow) in [(1e-6, vec![1]), (1e-5, vec![])] {
+            let mut points = Vec::new();
+            let mut faces = vec![
+                square(&mut points, [0.0, 10.0], [0.0, 1.0], 0.0, 0),
+                square(&mut points, [4.0, 4.2], [0.5, 0.7], gap, 1),
+                square(&mut points, [9.0, 10.0], [0.0, 1.0], 1.0, 2),
+            ];
+            let cut = cut(&mut faces, &mut points, &mut materials("ddd"));
+            assert_eq!((cut.objects, cut.narrow), (vec![], narrow), "gap {gap}");
         }
     }
 

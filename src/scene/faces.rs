@@ -278,6 +278,10 @@ impl Builder {
                 "translucent and in the plane of opaque ones: one opaque surface with these where they touch",
             ),
             (&cut.kept, "in the plane of others that cover them; not cut, for their shading normals"),
+            (
+                &cut.narrow,
+                "nearer to others than single precision tells on faces of that size; light between them may be wrong",
+            ),
         ] {
             warnings.extend(self.named(objects, what));
         }
