@@ -269,8 +269,8 @@ fn scatter(groups: &Groups, b: &[Rgb]) -> Vec<Rgb> {
 }
 
 /// The same where groups lose little of their light, infinite where they lose much; `ones` is `A 1`.
-fn scatter_of_lossless(groups: &Groups, b: &[Rgb], ones: Vec<Rgb>) -> Vec<Rgb> {
-    let (lost, counts) = (groups.sums(ones.into_iter()), groups.sums(b.iter().map(|_| Rgb::ONE)));
+fn scatter_of_lossless(groups: &Groups, b: &[Rgb], ones: &[Rgb]) -> Vec<Rgb> {
+    let (lost, counts) = (groups.sums(ones.iter().copied()), groups.sums(b.iter().map(|_| Rgb::ONE)));
     let keep =
         |((s, lost), count): ((Rgb, Rgb), &Rgb)| Rgb::select(lost.cmplt(LOSSY * *count), s, Rgb::INFINITY);
     scatter(groups, b).into_iter().zip(lost).zip(&counts).map(keep).collect()
@@ -423,26 +423,27 @@ impl Turn<'_, '_> {
             return guess.iter().zip(&systems).map(moved).collect();
         }
         let batches = self.exchange.rows.batches();
-        let ones = |m: usize| -> Vec<Rgb> {
+        let ones_of = |m: usize| -> Vec<Rgb> {
             let one = |k: usize| Rgb::ONE - self.parts.ones[k * batches + (self.pick)(k, m)];
             (0..b[m].len()).map(one).collect()
         };
+        let ones: Vec<Vec<Rgb>> = (0..b.len()).map(ones_of).collect();
         let mut systems: Vec<Krylov> = b
             .iter()
             .zip(of(&b).into_iter().flatten())
             .enumerate()
-            .map(|(m, (b, a_b))| Krylov::balanced(b, &a_b, &ones(m)))
+            .map(|(m, (b, a_b))| Krylov::balanced(b, &a_b, &ones[m]))
             .collect();
         let alive = vec![true; systems.len()];
         let scatters: Vec<Vec<Rgb>> = match self.acceleration {
             Acceleration::Balance(groups) => {
-                b.iter().enumerate().map(|(m, b)| scatter_of_lossless(groups, b, ones(m))).collect()
+                b.iter().enumerate().map(|(m, b)| scatter_of_lossless(groups, b, &ones[m])).collect()
             }
             _ => Vec::new(),
         };
         self.run(&mut systems, &norms, &scatters, alive);
         // What is left of the residuals is small beside them all, but not beside what the mean light loses at a bounce: balance again.
-        systems.into_iter().enumerate().map(|(m, s)| s.balance(&ones(m))).collect()
+        systems.into_iter().enumerate().map(|(m, s)| s.balance(&ones[m])).collect()
     }
 
     /// Improves the systems that are `alive` and further than [`ROUGH`] from `norms`, or by groups than [`ROUGH_SUM`] from

@@ -38,9 +38,9 @@ pub(super) struct Cut {
 /// How two faces lie that may be in one plane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Overlap {
-    /// With no more than an edge in common, seen from the front, or well apart.
+    /// In different planes, or with no more than an edge in common.
     Apart,
-    /// Apart, but not as far as rays start from both.
+    /// One before the other, nearer than rays start from both.
     Narrow,
     /// In one plane, as far as rays can tell, with more than an edge in common.
     OnePlane,

@@ -21,15 +21,20 @@ fn strip(k: usize) -> Vec<Point> {
     vec![[x, 0.0, 0.5], [x + 1.0 / 180.0, 0.0, 0.5], [x + 1.0 / 180.0, 1.0, 0.5], [x, 1.0, 0.5]]
 }
 
+/// Two unit squares with the blind between.
+fn blind() -> Scene {
+    scene(&[
+        ("a", vec![square(0.0, true)]),
+        ("b", vec![square(1.0, false)]),
+        ("blind", (0..60).map(strip).collect()),
+    ])
+}
+
 /// More faces in the shaft than shadows are cut from: 60 strips hide a third of the way, rays count. The strips
 /// of a blind are as good as one blocker each, so the pair estimate must agree with hemisphere rays.
 #[test]
 fn many_blockers_take_rays() {
-    let scene = scene(&[
-        ("a", vec![square(0.0, true)]),
-        ("b", vec![square(1.0, false)]),
-        ("blind", (0..60).map(strip).collect()),
-    ]);
+    let scene = blind();
     let device = device();
     let visibility = Visibility::new(&device, &scene).expect("tree");
     let mesh = Mesh::new(&scene, &Sides::fronts(&scene), 1e9, true).expect("mesh");
@@ -48,11 +53,7 @@ fn many_blockers_take_rays() {
 /// Errors that no number of rays meets are counted, and the largest is given with its elements; the same pairs meet one within reach.
 #[test]
 fn errors_that_are_not_met_are_counted() {
-    let scene = scene(&[
-        ("a", vec![square(0.0, true)]),
-        ("b", vec![square(1.0, false)]),
-        ("blind", (0..60).map(strip).collect()),
-    ]);
+    let scene = blind();
     let device = device();
     let visibility = Visibility::new(&device, &scene).expect("tree");
     let mesh = Mesh::new(&scene, &Sides::fronts(&scene), 1e9, true).expect("mesh");
