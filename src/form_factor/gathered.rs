@@ -47,10 +47,10 @@ impl EmitterIrradiance {
     }
 }
 
-impl std::ops::Mul<f64> for EmitterIrradiance {
+impl std::ops::Mul<Rgb> for EmitterIrradiance {
     type Output = EmitterIrradiance;
 
-    fn mul(self, f: f64) -> EmitterIrradiance {
+    fn mul(self, f: Rgb) -> EmitterIrradiance {
         EmitterIrradiance { straight: self.straight * f, image: self.image * f, chain: self.chain * f }
     }
 }
@@ -110,7 +110,7 @@ pub(super) fn add_batch(
     found: EmitterIrradiance,
     batches: usize,
 ) {
-    *mean += found * (1.0 / batches as f64);
+    *mean += found * Rgb::splat(1.0 / batches as f64);
     let sum = found.straight + found.image + found.chain;
     total.iter_mut().zip(sum.to_array()).for_each(|(t, s)| *t += s as f32);
 }

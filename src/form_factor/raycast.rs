@@ -6,8 +6,11 @@
 //! ray of neighbouring elements (see [`super::source`]).
 
 mod beyond;
+mod fate;
+#[cfg(test)]
+mod tests;
 
-use super::gathered::{EmitterIrradiance, EmitterRows, EmitterWork, add_batch};
+use super::gathered::{EmitterRows, EmitterWork, add_batch};
 use super::immersed::{Immersed, settle};
 use super::landing::{ABSORBED, EMITTER, ESCAPED, SPECULAR, Targets, UNREACHED};
 use super::matrix::{ExchangeMatrix, RowSummary};
@@ -21,6 +24,7 @@ use crate::emitters::Emitters;
 use crate::mesh::{Mesh, NONE, Sides};
 use crate::sampling::{MAX_POINTS, Scramble, ScrambledPoints, SobolTable, seed_of};
 use crate::visibility::Visibility;
+use fate::Fate;
 use glam::Vec3;
 use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
@@ -136,17 +140,6 @@ struct Cast {
     rays: u64,
 }
 
-/// What became of the rays of one element.
-#[derive(Clone, Default)]
-struct Fate {
-    summary: RowSummary,
-    /// Met the back of glass first.
-    inside: u32,
-    covered: u32,
-    escaped: u32,
-    absorbed: u32,
-}
-
 /// Buffers of one thread.
 struct Scratch {
     packet: RayPacket,
@@ -155,11 +148,11 @@ struct Scratch {
     landed: Vec<u32>,
     /// What chains brought: (element of the group, randomisation), column, weight.
     chained: Vec<((u32, u32), u32, [f32; 3])>,
-    emitted: Vec<EmitterIrradiance>,
     tally: Tally,
     /// For few elements.
     counts: Option<Counts>,
     builder: Builder,
+    /// By (randomisation, element).
     fates: Vec<Fate>,
     /// Rays cast.
     cast: u64,
@@ -277,7 +270,6 @@ impl<'a, 's> Caster<'a, 's> {
             points: ScrambledPoints::default(),
             landed: Vec::new(),
             chained: Vec::new(),
-            emitted: Vec::new(),
             tally: Tally::new(self.channels),
             counts: Counts::new(self.mesh.len()),
             // Chains have weights; rays alone are counted.
@@ -310,16 +302,10 @@ impl<'a, 's> Caster<'a, 's> {
                     cast.summary.push(RowSummary::default());
                     continue;
                 }
-                cast.summary.push(self.row(scratch, found, chosen.len()));
-                cast.immersed.extend(self.immersed(scratch, element, (found, chosen.len())));
-                if light > 0 {
-                    let at = (element - elements.start) as usize;
-                    for b in 0..batches {
-                        let emitted = scratch.emitted[found * batches + b] * (1.0 / self.table.len() as f64);
-                        let EmitterRows { mean, total, .. } = &mut cast.light;
-                        add_batch(&mut mean[at], &mut total[at * batches + b], emitted, batches);
-                    }
-                }
+                let at = (element - elements.start) as usize;
+                let light = (light > 0).then_some((&mut cast.light, at));
+                cast.summary.push(self.row(scratch, found, light));
+                cast.immersed.extend(self.immersed(scratch, element, found));
                 found += 1;
             }
         }
@@ -334,10 +320,8 @@ impl<'a, 's> Caster<'a, 's> {
         scratch.landed.clear();
         scratch.landed.resize(self.stride() * m * batches, NONE);
         scratch.chained.clear();
-        scratch.emitted.clear();
-        scratch.emitted.resize(m * batches, EmitterIrradiance::default());
         scratch.fates.clear();
-        scratch.fates.resize(m, Fate::default());
+        scratch.fates.resize(m * batches, Fate::default());
         let together = if share_packets(&self.table) { m } else { 1 };
         let mut parts: Vec<Lanes> = elements
             .chunks(together.max(1))
@@ -357,9 +341,9 @@ impl<'a, 's> Caster<'a, 's> {
     /// Casts one randomisation of a part of a group, which begins at element `offset` of it.
     #[inline(always)]
     fn packets(&self, scratch: &mut Scratch, lanes: &Lanes, offset: usize, batch: u32) {
-        let (n, m) = (self.table.len(), scratch.fates.len());
-        let stride = self.stride();
-        let landed = (batch as usize * m + offset) * stride;
+        let (n, stride) = (self.table.len(), self.stride());
+        let first = self.place(scratch, offset, batch);
+        let landed = first * stride;
         scratch.cast += (n * lanes.sources.len()) as u64;
         let step = lanes.points_a_packet();
         let whole = lanes.active(step);
@@ -402,10 +386,15 @@ impl<'a, 's> Caster<'a, 's> {
             }
         }
         for l in (0..LANES).filter(|l| place(*l).0 < lanes.sources.len()) {
-            let fate = &mut scratch.fates[offset + place(l).0];
+            let fate = &mut scratch.fates[first + place(l).0];
             fate.escaped += escaped[l];
             fate.absorbed += absorbed[l];
         }
+    }
+
+    /// Where an element of a group stands among all, in one randomisation.
+    fn place(&self, scratch: &Scratch, k: usize, batch: u32) -> usize {
+        batch as usize * (scratch.fates.len() / self.batches as usize) + k
     }
 
     /// Places of one row and randomisation in [`Scratch::landed`]. Were it a power of two, the same ray of the 16 elements of a
@@ -414,104 +403,79 @@ impl<'a, 's> Caster<'a, 's> {
         self.table.len() + LANES
     }
 
-    /// Adds up the row of the `k`-th of `m` elements of a group.
-    fn row(&self, scratch: &mut Scratch, k: usize, m: usize) -> RowSummary {
-        let (n, ones) = (self.table.len(), [1.0f32; 3]);
+    /// Adds up the row of the `k`-th element of a group, and what light its rays found.
+    fn row(
+        &self,
+        scratch: &mut Scratch,
+        k: usize,
+        mut light: Option<(&mut EmitterRows, usize)>,
+    ) -> RowSummary {
+        let (n, batches) = (self.table.len(), self.batches as usize);
+        let mut row = RowSummary::default();
+        let mut covered = 0;
         for batch in 0..self.batches {
-            let first = (batch as usize * m + k) * self.stride();
-            let landed = &scratch.landed[first..first + n];
-            let builder = &mut scratch.builder;
-            let place = (k as u32, batch);
-            let first = scratch.chained.partition_point(|c| c.0 < place);
-            let chained = || scratch.chained[first..].iter().take_while(|c| c.0 == place);
-            if let (Some(counts), None) = (&mut scratch.counts, chained().next()) {
-                counts.count(landed, |column, count| match self.casting.specular {
-                    AtSpecular::End => builder.push_count(column, count),
-                    _ => builder.push(column, &[count as f32; 3][..self.channels]),
-                });
-                builder.end_batch();
-                continue;
+            let place = self.place(scratch, k, batch);
+            let fate = &mut scratch.fates[place];
+            let scale = fate.settle(n);
+            covered += fate.covered;
+            row.escaped += scale * (fate.chains.escaped + Rgb::splat(f64::from(fate.escaped)));
+            row.absorbed += scale * (fate.chains.absorbed + Rgb::splat(f64::from(fate.absorbed)));
+            row.dropped += scale * fate.chains.dropped;
+            if let Some((EmitterRows { mean, total, .. }, at)) = &mut light {
+                let emitted = fate.emitted * (scale / n as f64);
+                add_batch(&mut mean[*at], &mut total[*at * batches + batch as usize], emitted, batches);
             }
-            for &column in landed.iter().filter(|c| **c != NONE) {
-                scratch.tally.add(column, &ones[..self.channels]);
-            }
-            for (_, column, weight) in chained() {
-                scratch.tally.add(*column, &weight[..self.channels]);
-            }
-            scratch.tally.drain(|column, weight| builder.push(column, weight));
-            builder.end_batch();
+            self.factors(scratch, (k as u32, batch), place, scale);
         }
-        let fate = &scratch.fates[k];
         let total = u64::from(self.rays_per_row());
-        let open = total - u64::from(fate.covered);
+        let open = total - u64::from(covered);
         let scale = if open > 0 { 1.0 / open as f64 } else { 0.0 };
-        scratch.builder.end_row(self.batches as usize, self.channels, scale);
-        let mut row = fate.summary;
-        row.escaped += Rgb::splat(f64::from(fate.escaped));
-        row.absorbed += Rgb::splat(f64::from(fate.absorbed));
+        scratch.builder.end_row(batches, self.channels, scale);
         row.escaped *= scale;
         row.absorbed *= scale;
         row.dropped *= scale;
-        // Rows that see each other are needed to tell.
-        row.index2 = 1.0;
         row.exposed = open as f64 / total as f64;
         row
     }
 
-    /// The rays of the `k`-th of `m` elements of a group, if some of them began inside of glass.
-    fn immersed(&self, scratch: &Scratch, element: u32, (k, m): (usize, usize)) -> Option<Immersed> {
-        let (n, fate) = (self.table.len(), &scratch.fates[k]);
-        if fate.inside == 0 {
+    /// Adds one randomisation to a row: what each of its rays counts is `scale`.
+    fn factors(&self, scratch: &mut Scratch, at: (u32, u32), place: usize, scale: Rgb) {
+        let landed = &scratch.landed[place * self.stride()..][..self.table.len()];
+        let builder = &mut scratch.builder;
+        let first = scratch.chained.partition_point(|c| c.0 < at);
+        let chained = || scratch.chained[first..].iter().take_while(|c| c.0 == at);
+        let scale = scale.as_vec3().to_array();
+        if let (Some(counts), None) = (&mut scratch.counts, chained().next()) {
+            counts.count(landed, |column, count| match self.casting.specular {
+                AtSpecular::End => builder.push_count(column, count),
+                _ => builder.push(column, &scale.map(|s| s * count as f32)[..self.channels]),
+            });
+            builder.end_batch();
+            return;
+        }
+        for &column in landed.iter().filter(|c| **c != NONE) {
+            scratch.tally.add(column, &scale[..self.channels]);
+        }
+        for (_, column, weight) in chained() {
+            let weight: [f32; 3] = std::array::from_fn(|c| weight[c] * scale[c]);
+            scratch.tally.add(*column, &weight[..self.channels]);
+        }
+        scratch.tally.drain(|column, weight| builder.push(column, weight));
+        builder.end_batch();
+    }
+
+    /// The rays of the `k`-th element of a group, if some of them began inside of glass.
+    fn immersed(&self, scratch: &Scratch, element: u32, k: usize) -> Option<Immersed> {
+        let places = || (0..self.batches).map(|batch| self.place(scratch, k, batch));
+        let fates = || places().map(|place| &scratch.fates[place]);
+        let inside: u32 = fates().map(|f| f.inside).sum();
+        if inside == 0 {
             return None;
         }
-        let rows = (0..self.batches as usize).map(|batch| (batch * m + k) * self.stride());
-        let landed = rows.flat_map(|first| &scratch.landed[first..first + n]);
+        let landed = places().flat_map(|place| &scratch.landed[place * self.stride()..][..self.table.len()]);
         let mut landed: Vec<u32> = landed.copied().filter(|c| *c != NONE).collect();
         landed.sort_unstable();
-        let open = self.rays_per_row() - fate.covered;
-        Some(Immersed { element, inside: fate.inside, index2: fate.summary.index2 - 1.0, open, landed })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::embree::Device;
-    use crate::scene::load;
-    use std::path::Path;
-
-    /// Every processor finds the same.
-    #[test]
-    fn wide_registers_change_nothing() {
-        let device = Device::new(1).expect("Embree");
-        for name in ["cornell", "glass_ball"] {
-            let path = format!("{}/scenes/{name}/{name}.toml", env!("CARGO_MANIFEST_DIR"));
-            let scene = load(Path::new(&path)).expect("a scene of the project");
-            let visibility = Visibility::new(&device, &scene).expect("a tree");
-            let mesh = Mesh::new(&scene, &Sides::fronts(&scene), 0.2, true).expect("a mesh");
-            let casting = Casting {
-                rays: 96,
-                batches: 2,
-                seed: 1,
-                specular: AtSpecular::End,
-                reached: None,
-                emitters: None,
-                progress: &|_| (),
-            };
-            for specular in [AtSpecular::End, AtSpecular::GoOn, AtSpecular::GoOnByShare] {
-                let mut caster = Caster::new(&visibility, &mesh, &Casting { specular, ..casting });
-                let rows = |caster: &Caster| {
-                    let row = |block: &Block, k| {
-                        let row = block.row(k, caster.batches(), caster.channels());
-                        row.entries().map(|(j, f)| (j, f.to_array().map(f64::to_bits))).collect::<Vec<_>>()
-                    };
-                    caster.visit(|range, block| (0..range.len()).map(|k| row(block, k)).collect::<Vec<_>>()).0
-                };
-                let wide = rows(&caster);
-                caster.arch = Arch::Scalar;
-                assert!(wide.iter().flatten().flatten().count() > mesh.len());
-                assert!(rows(&caster) == wide, "{name}, {specular:?}");
-            }
-        }
+        let open = self.rays_per_row() - fates().map(|f| f.covered).sum::<u32>();
+        Some(Immersed { element, inside, index2: fates().map(|f| f.index2).sum(), open, landed })
     }
 }

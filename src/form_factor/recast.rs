@@ -134,7 +134,7 @@ impl<'a> Rows<'a> {
         let n = self.len() as u32;
         let object: Vec<u32> = (0..n).map(|e| scene.faces[mesh.place(e).0 as usize].object).collect();
         let taken: Vec<Rgb> = (0..n).map(|e| Rgb::ONE - keep(e)).collect();
-        let opaque = taken.iter().all(|t| *t == Rgb::ONE);
+        let taken = taken.iter().any(|t| *t != Rgb::ONE).then_some(taken);
         let summary = self.summary();
         let parts = self.tasks(|run| {
             let mut exchange = HashMap::<(u32, u32), f64>::new();
@@ -142,7 +142,7 @@ impl<'a> Rows<'a> {
                 let area = mesh.area(k as u32) * summary[k].exposed * summary[k].index2;
                 let (mut sum, mut last, mut run_of_last) = (Rgb::ZERO, object[k], 0.0);
                 for (j, f) in run.row(k).entries() {
-                    sum += if opaque { f } else { f * taken[j] };
+                    sum += taken.as_ref().map_or(f, |taken| f * taken[j]);
                     // Rays that follow each other mostly meet one object.
                     if object[j] != last {
                         *exchange.entry((object[k], last)).or_default() += run_of_last;
@@ -170,7 +170,7 @@ impl<'a> Rows<'a> {
             .filter(|(_, s)| s.exposed > 0.0)
             .map(|(sum, s)| (*sum + s.escaped + s.absorbed + s.dropped - Rgb::ONE).abs().max_element())
             .fold(0.0, f64::max);
-        Check { sums, closure, reciprocity: asymmetry(exchange) }
+        Check { sums, taken, closure, reciprocity: asymmetry(exchange) }
     }
 }
 
@@ -220,6 +220,8 @@ impl Run<'_> {
 pub struct Check {
     /// `sum over j of F_ij taken_j` of each row, `taken_j` what the surface of j does not pass on specularly.
     pub sums: Vec<Rgb>,
+    /// That share by element; none where no surface passes on anything.
+    pub taken: Option<Vec<Rgb>>,
     /// Largest departure of a row from closure: factors to opaque diffuse surfaces, escaped,
     /// absorbed and dropped shares sum to 1.
     pub closure: f64,

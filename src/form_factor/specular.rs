@@ -33,11 +33,13 @@ pub enum Carried {
 pub struct ChainEnd {
     /// Left the scene.
     pub escaped: Rgb,
-    /// Lost in specular reflection or refraction, or at black surfaces. Russian roulette moves
-    /// weight in and out of this share, without bias.
+    /// Lost in specular reflection or refraction, or at black surfaces.
     pub absorbed: Rgb,
     /// Still carried where the chain was cut.
     pub dropped: Rgb,
+    /// What Russian roulette added to the weight, or took from it: zero on average. All shares together, what diffuse surfaces took
+    /// included, make 1 and this.
+    pub roulette: Rgb,
     /// Rays cast.
     pub rays: u32,
 }
@@ -112,13 +114,15 @@ impl<'a, 's> Chains<'a, 's> {
             let strength = worth * color::mean(weight);
             let survive = if strength < WEAK { strength / WEAK } else { 1.0 };
             let survive = if k < LONG { survive } else { survive.min(GOES_ON) };
+            end.absorbed -= weight;
             if survive < 1.0 {
+                end.roulette -= weight;
                 if u[3] >= survive {
                     return end;
                 }
                 weight /= survive;
+                end.roulette += weight;
             }
-            end.absorbed -= weight;
             let image = self.emitters.is_some_and(|e| e.is_image_mirror(at.face));
             passage = if passage == Passage::Straight && image { Passage::Image } else { Passage::Chain };
             direction = s.direction;

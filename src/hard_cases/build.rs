@@ -178,6 +178,12 @@ pub fn sphere(radius: f64, n: usize, inside: bool) -> Vec<Vec<Point>> {
     faces
 }
 
+/// A ball about `centre`.
+pub fn ball(radius: f64, centre: Point) -> Vec<Vec<Point>> {
+    let moved = |p: &Point| [0, 1, 2].map(|k| p[k] + centre[k]);
+    sphere(radius, 8, false).iter().map(|t| t.iter().map(moved).collect()).collect()
+}
+
 /// A turn by `angle` (in radians) about a unit axis (Rodrigues).
 pub fn turned(axis: Point, angle: f64) -> impl Fn(Point) -> Point {
     let (s, c) = angle.sin_cos();

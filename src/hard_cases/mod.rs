@@ -6,6 +6,7 @@
 pub mod build;
 pub mod exact;
 mod geometry;
+mod specular;
 mod transport;
 mod work;
 
@@ -96,7 +97,7 @@ impl Case {
 
 /// All cases in the order of tables.
 pub fn cases() -> Vec<Case> {
-    [geometry::CASES, transport::CASES, work::CASES].concat()
+    [geometry::CASES, transport::CASES, specular::CASES, work::CASES].concat()
 }
 
 /// Pass 1 of a scene without a camera.

@@ -3,6 +3,7 @@
 //! Few emitters are [`Lamps`]; of them only mirror images are sampled here.
 
 use super::lamps::Lamps;
+use crate::color::Rgb;
 use crate::embree::ShadowPacket;
 use crate::emitters::{Emitters, Passage, connect, cosine_density, mis_share};
 use crate::form_factor::{EmitterIrradiance, EmitterRows};
@@ -101,6 +102,6 @@ impl Sampler<'_, '_> {
         if used > 0 {
             flush(&mut packet, &pending[..used], &mut sum);
         }
-        sum * (1.0 / f64::from(count.max(1)))
+        sum * Rgb::splat(1.0 / f64::from(count.max(1)))
     }
 }

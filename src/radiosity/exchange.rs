@@ -25,6 +25,8 @@ pub(super) const MANY: usize = 4096;
 /// Rows that close, made reciprocal on request.
 pub(super) struct Exchange<'m> {
     pub rows: Rows<'m>,
+    /// By element, what its surface does not pass on specularly; none where no surface passes on anything.
+    taken: Option<&'m [Rgb]>,
     scale: Vec<f64>,
     balance: Option<Balance<'m>>,
     /// Of many rows that count rays, the entries once more.
@@ -62,8 +64,8 @@ pub(super) struct Balance<'m> {
 const MOST_SUMS: usize = 1 << 22;
 
 impl<'m> Exchange<'m> {
-    /// `sums` are those of [`Rows::check`].
-    pub fn new(rows: Rows<'m>, sums: &[Rgb]) -> Exchange<'m> {
+    /// `sums` and `taken` are those of [`Rows::check`].
+    pub fn new(rows: Rows<'m>, sums: &[Rgb], taken: Option<&'m [Rgb]>) -> Exchange<'m> {
         let scale = sums
             .iter()
             .zip(rows.summary())
@@ -73,7 +75,7 @@ impl<'m> Exchange<'m> {
                 if (ratio - 1.0).abs() <= MOST_CORRECTION { ratio } else { 1.0 }
             })
             .collect();
-        Exchange { rows, scale, balance: None, tiles: None }
+        Exchange { rows, taken, scale, balance: None, tiles: None }
     }
 
     /// Makes the exchange reciprocal; `matrix` are its rows, which count rays: without specular chains. `area` holds the elements'
@@ -125,6 +127,12 @@ impl<'m> Exchange<'m> {
     /// Entries by tiles and what each row must be multiplied by, where there are tiles.
     pub fn tiles(&self) -> Option<(&Tiles, &[f64])> {
         self.tiles.as_ref().map(|t| (t, &self.scale[..]))
+    }
+
+    /// What one randomisation of a row takes of the light if every surface sends the same in all: 1 where nothing escapes, is absorbed
+    /// or falls on covered parts. An estimate of the whole, by channel.
+    pub fn closure(&self, row: &Row, batch: usize) -> Rgb {
+        row.sum_batch(batch, |j| self.taken.map_or(Rgb::ONE, |taken| taken[j]))
     }
 
     /// Visits all rows with what each must be multiplied by.

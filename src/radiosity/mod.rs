@@ -141,7 +141,7 @@ pub fn solve(
                 ..Default::default()
             };
             if let Some(light) = &light.rows {
-                sum.emitters = light.mean[row] * per_open(row);
+                sum.emitters = light.mean[row] * Rgb::splat(per_open(row));
             }
             if found.is_some() {
                 sum.particles = (0..batches).map(|b| particles(row, b)).sum::<Rgb>() / batches as f64;
@@ -227,7 +227,7 @@ pub fn solve_irradiance(
 ) -> crate::Result<(Vec<Rgb>, Convergence)> {
     let rows = Rows::from(matrix);
     let sums = matrix.multiply(&vec![Rgb::ONE; matrix.len()]);
-    let exchange = exchange::Exchange::new(rows, &sums);
+    let exchange = exchange::Exchange::new(rows, &sums, None);
     let acceleration = Acceleration::Balance(Groups::new(&vec![0; matrix.len()]));
     solve::solve(&exchange, transport, &acceleration, incident, None, tolerance)
 }

@@ -30,12 +30,12 @@ pub struct System<'m> {
 impl<'m> System<'m> {
     /// Of a mesh's rows; `check` is what [`Rows::check`] found; `tiles` allows to keep the entries of many rows once more, by tiles,
     /// for speed.
-    pub fn new(scene: &Scene, mesh: &Mesh, (rows, check, tiles): (Rows<'m>, &Check, bool)) -> System<'m> {
+    pub fn new(scene: &Scene, mesh: &Mesh, (rows, check, tiles): (Rows<'m>, &'m Check, bool)) -> System<'m> {
         let elements = 0..mesh.len() as u32;
         let mut transport = Transport::of(scene, mesh);
         let open: Vec<f64> = rows.summary().iter().map(|s| s.exposed).collect();
         transport.conserve(&open);
-        let mut exchange = Exchange::new(rows, &check.sums);
+        let mut exchange = Exchange::new(rows, &check.sums, check.taken.as_deref());
         let lost = |exchange: &Exchange| {
             residual_operator(|x| exchange.gather(x), &transport, &vec![Rgb::ONE; open.len()])
         };

@@ -315,7 +315,7 @@ impl Parts {
         };
         let of_row = |k: usize, row: &Row, scale: f64| {
             let s = &exchange.rows.summary()[k];
-            let sums: Vec<Rgb> = (0..batches).map(|b| row.sum_batch(b, |_| Rgb::ONE) * scale).collect();
+            let sums: Vec<Rgb> = (0..batches).map(|b| exchange.closure(row, b) * scale).collect();
             let mean_sum = sums.iter().sum::<Rgb>() / batches as f64;
             let closed = s.escaped + s.absorbed + s.dropped == Rgb::ZERO;
             let mut parts: Vec<(Rgb, (f64, Rgb))> = (0..batches)

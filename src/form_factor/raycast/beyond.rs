@@ -30,24 +30,24 @@ impl Caster<'_, '_> {
         (hits, l): (&Hits, usize),
     ) {
         let (k, batch, point) = at;
+        let place = self.place(scratch, k, batch);
         let mut hit = SurfaceHit { face: hits.face[l], u: hits.u[l], v: hits.v[l], front: true };
         if hit.face == source.face {
             let Some(next) = self.visibility.closest(origin, direction, source.face) else {
-                scratch.fates[k].escaped += 1;
+                scratch.fates[place].escaped += 1;
                 return;
             };
             hit = next;
         }
         let met = self.targets.landing(hit.face, (hit.u, hit.v), direction);
         hit.front = met.front;
-        let fate = &mut scratch.fates[k];
+        let fate = &mut scratch.fates[place];
         if met.kind & UNREACHED != 0 {
             fate.covered += 1;
             return;
         }
         fate.absorbed += u32::from(met.kind & ABSORBED != 0);
-        let row = (batch as usize * scratch.fates.len() + k) * self.stride();
-        scratch.landed[row + point as usize] = met.column;
+        scratch.landed[place * self.stride() + point as usize] = met.column;
         if met.kind & (EMITTER | SPECULAR) == 0 {
             return;
         }
@@ -60,7 +60,7 @@ impl Caster<'_, '_> {
             let ray = (origin, direction, hit);
             self.chain(scratch, source, (k, batch), ray, (point, seed), &mut emitted);
         }
-        scratch.emitted[k * self.batches as usize + batch as usize] += emitted;
+        scratch.fates[place].emitted += emitted;
     }
 
     /// A hemisphere ray that met an emitter in a straight line.
@@ -113,10 +113,11 @@ impl Caster<'_, '_> {
     ) {
         let scene = self.visibility.scene();
         let first = direction.as_dvec3();
+        let fate = self.place(scratch, at.0, at.1);
         let met = scene.material(&scene.faces[hit.face as usize]);
         if met.bends() && !hit.front {
-            scratch.fates[at.0].summary.index2 += met.ior * met.ior - 1.0;
-            scratch.fates[at.0].inside += 1;
+            scratch.fates[fate].index2 += met.ior * met.ior - 1.0;
+            scratch.fates[fate].inside += 1;
         }
         let mut absorbed = Rgb::ZERO;
         if self.mesh.element(hit.face, hit.front, hit.u, hit.v) != NONE {
@@ -143,10 +144,11 @@ impl Caster<'_, '_> {
             }
             self.emission(source, first, link, emitted);
         });
-        let summary = &mut scratch.fates[at.0].summary;
-        summary.escaped += end.escaped;
-        summary.absorbed += end.absorbed + absorbed;
-        summary.dropped += end.dropped;
+        let chains = &mut scratch.fates[fate].chains;
+        chains.escaped += end.escaped;
+        chains.absorbed += end.absorbed + absorbed;
+        chains.dropped += end.dropped;
+        chains.roulette += end.roulette;
         scratch.cast += u64::from(end.rays);
     }
 }
