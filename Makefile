@@ -29,10 +29,11 @@ render: build
 test: setup
 	$(CARGO) test --locked -- --show-output
 
+# The test profile: macros and build scripts that the tests have built serve here too.
 lint: setup
 	$(CARGO) fmt --check
-	$(CARGO) clippy --locked --all-targets -- -D warnings
-	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --locked --no-deps
+	$(CARGO) clippy --locked --all-targets --profile test -- -D warnings
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --locked --no-deps --profile test
 
 bench: build
 	$(TWOPASS) bench -o out/bench

@@ -530,7 +530,7 @@ fn two_pass_equals_path() {
         let scene = glossy_room(roughness, 16, false);
         let path = pictures(&scene, "c", (0, 0.0), &settings(Method::Path, 48));
         let two_pass = [settings(GATHER, 4), settings(DIRECT, 8)];
-        let images = pictures_by_all(&scene, "c", (256, 0.05), two_pass);
+        let images = pictures_by_all(&scene, "c", (128, 0.05), two_pass);
         for ((method, relative), images) in [(GATHER, 0.005), (DIRECT, 0.01)].into_iter().zip(images) {
             let ((a, ea), (b, eb)) = (mean_error(&means(&images)), mean_error(&means(&path)));
             let (off, error) = (a / b - 1.0, ea.hypot(eb) / b);

@@ -62,7 +62,7 @@ fn mirrors() -> Result<Outcome> {
         .diffuse("m", 0.7, 1.0)
         .material("mirror", "diffuse = 0.0\nspecular = 1.0\nroughness = 0.0");
     let b = 1.0 / (1.0 - 0.7);
-    solved(&text, 1024, Some(0.25), &[("x0", b), ("x1", b), ("y0", b), ("y1", b)])
+    solved(&text, 512, Some(0.25), &[("x0", b), ("x1", b), ("y0", b), ("y1", b)])
 }
 
 /// A furnace that holds a body of the given material, or whose ends are made of it: every camera sees E / (1 - rho) / pi.
@@ -259,5 +259,5 @@ fn white_floor() -> Result<Outcome> {
         .cuboid("", |s| if s == "z0" { "floor".into() } else { "mirror".into() }, [0.0; 3], [1.0; 3], true)
         .diffuse("floor", albedo, 1.0)
         .material("mirror", &mirror);
-    solved(&text, 1024, Some(0.1), &[("z0", 1.0 / (1.0 - albedo))])
+    solved(&text, 512, Some(0.1), &[("z0", 1.0 / (1.0 - albedo))])
 }
