@@ -407,7 +407,7 @@ fn finish(
         let (square, _) = pilot::difference(&images[0], &images[1], mask);
         let own = 0.25 * square / (mean * mean);
         let needed = 1.0 / (1.0 / variance - 1.0 / noise);
-        let growth = (own / needed).clamp(0.125, GROWTH);
+        let growth = (own / needed).powf(1.0 / pilot.fall(plan.quality, spp, own)).clamp(0.125, GROWTH);
         let grow = |n: u32, most: f64| (f64::from(n) * growth).ceil().min(most) as u32;
         rays = grow(rays, MOST_RAYS).max(FEWEST_RAYS as u32);
         spp = grow(spp, f64::from((MOST_SAMPLES - all_spp).div_ceil(2)));

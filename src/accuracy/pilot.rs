@@ -296,6 +296,14 @@ impl<'a, 's> Pilot<'a, 's> {
         v[k + 1] * (m / f64::from(spp)).powf(power.clamp(1.0, 2.0))
     }
 
+    /// The power of its work with which the variance of a pair of halves falls, of `spp` samples a pixel each and a `variance` of their
+    /// mean: that of pass 2 falls as it did in the pilot, the rest as of independent rays.
+    pub fn fall(&self, quality: usize, spp: u32, variance: f64) -> f64 {
+        let [now, then] = [spp, 2 * spp].map(|spp| 0.5 * self.noise(quality, spp));
+        let share = (now / variance).min(1.0);
+        if share.is_nan() || then <= 0.0 { 1.0 } else { 1.0 + share * ((now / then).log2() - 1.0).max(0.0) }
+    }
+
     /// Variance of a pixel by pass 1 with one ray an element, relative.
     pub fn noise_of_pass1(&self, quality: usize, level: usize) -> f64 {
         let Level { sampled, rays_each, .. } = &self.levels[level];
