@@ -4,6 +4,9 @@ use super::super::gathered::EmitterIrradiance;
 use super::super::specular::ChainEnd;
 use crate::color::Rgb;
 
+/// A sum smaller than this part of what it should be is not scaled to that.
+const LEAST: f64 = 1e-3;
+
 /// Counts of rays, and sums over them.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Fate {
@@ -32,15 +35,17 @@ impl Fate {
     pub fn settle(&mut self, rays: usize) -> Rgb {
         let open = rays as f64 - f64::from(self.covered);
         let sum = Rgb::splat(open) + self.chains.roulette;
-        let scale = |open: f64, sum: f64| if sum > LEAST * open { open / sum } else { 1.0 };
-        let left = |open: f64, sum: f64| if sum > LEAST * open { 0.0 } else { open - sum };
-        self.chains.dropped += Rgb::from(sum.to_array().map(|s| left(open, s)));
-        Rgb::from(sum.to_array().map(|s| scale(open, s)))
+        let mut scale = Rgb::ONE;
+        for c in 0..3 {
+            if sum[c] > LEAST * open {
+                scale[c] = open / sum[c];
+            } else {
+                self.chains.dropped[c] += open - sum[c];
+            }
+        }
+        scale
     }
 }
-
-/// A sum smaller than this part of what it should be is not scaled to that.
-const LEAST: f64 = 1e-3;
 
 #[cfg(test)]
 mod tests {
