@@ -115,7 +115,8 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
             FactorMethodArg::Hemicube => "hemicube",
             FactorMethodArg::Analytic => "analytic",
         };
-        let mut numbers = FactorReport::new(&scene, &mesh, &found, (method, rows.is_some()), &factors);
+        let numbers = || FactorReport::new(&scene, &mesh, &found, (method, rows.is_some()), &factors);
+        let mut numbers = args.report.as_ref().map(|_| numbers());
         drop(found);
         if let Some(enforce) = enforced(args.enforce) {
             let correction = correct(&mut factors, enforce)?;
@@ -129,25 +130,30 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
                     .map(|m| format!(" ({m:.2} standard errors)"))
                     .unwrap_or_default()
             ));
-            numbers.written = factors.written;
-            numbers.correction = Some(correction);
+            if let Some(numbers) = &mut numbers {
+                (numbers.written, numbers.correction) = (factors.written, Some(correction));
+            }
         }
         if args.method == FactorMethodArg::Hemicube {
             let settings = hemicube_settings(args);
-            numbers.hemicube = Some(settings);
+            if let Some(numbers) = &mut numbers {
+                numbers.hemicube = Some(settings);
+            }
             if args.hemicube.hemicube_errors {
                 let errors = HemicubeErrors::measure(&scene, &mesh, &settings);
                 progress.line(&format!(
                     "RMS error of a factor from aliasing {:.1e}, proximity {:.1e}, visibility from a point {:.1e}",
                     errors.aliasing_rms, errors.proximity_rms, errors.visibility_rms
                 ));
-                numbers.hemicube_errors = Some(errors);
+                if let Some(numbers) = &mut numbers {
+                    numbers.hemicube_errors = Some(errors);
+                }
             }
         }
         pipeline::stage("write", 0, observer, &mut stages, || {
             (outputs.iter().try_for_each(|(path, format)| write(&factors, path, *format)), 0)
         })?;
-        report = Some(numbers);
+        report = numbers;
     }
     if let Some(path) = &args.report {
         let mut whole = Report::new(&scene, Versions::new(&device), args.common.seed, stages, warnings);

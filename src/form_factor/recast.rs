@@ -9,7 +9,7 @@ use crate::mesh::Mesh;
 use crate::scene::Scene;
 use crate::visibility::Visibility;
 use rayon::prelude::*;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -137,7 +137,7 @@ impl<'a> Rows<'a> {
         let taken = taken.iter().any(|t| *t != Rgb::ONE).then_some(taken);
         let summary = self.summary();
         let parts = self.tasks(|run| {
-            let mut exchange = HashMap::<(u32, u32), f64>::new();
+            let mut exchange = FxHashMap::<(u32, u32), f64>::default();
             let visit = |k: usize| {
                 let area = mesh.area(k as u32) * summary[k].exposed * summary[k].index2;
                 let (mut sum, mut last, mut run_of_last) = (Rgb::ZERO, object[k], 0.0);
@@ -159,7 +159,7 @@ impl<'a> Rows<'a> {
             (sums, exchange)
         });
         let mut sums = Vec::with_capacity(self.len());
-        let mut exchange = HashMap::<(u32, u32), f64>::new();
+        let mut exchange = FxHashMap::<(u32, u32), f64>::default();
         for (part, pairs) in parts {
             sums.extend(part);
             pairs.into_iter().for_each(|(pair, g)| *exchange.entry(pair).or_default() += g);
@@ -175,7 +175,7 @@ impl<'a> Rows<'a> {
 }
 
 /// `sum |G_ab - G_ba| / sum (G_ab + G_ba)` over pairs of different objects.
-fn asymmetry(exchange: HashMap<(u32, u32), f64>) -> f64 {
+fn asymmetry(exchange: FxHashMap<(u32, u32), f64>) -> f64 {
     let mut pairs: Vec<_> = exchange.iter().filter(|((a, b), _)| a != b).collect();
     pairs.sort_unstable_by_key(|p| p.0);
     let (mut difference, mut sum) = (0.0, 0.0);

@@ -10,7 +10,7 @@ use super::{Lattice, Mesh, NONE, side_index};
 use crate::color::Rgb;
 use crate::scene::{Face, Scene};
 use glam::DVec3;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// Cosine of the largest angle between faces of one plane (0.08 degrees).
 const COPLANAR: f64 = 1.0 - 1e-6;
@@ -47,7 +47,7 @@ impl Nodes {
     pub fn new(scene: &Scene, mesh: &Mesh) -> Nodes {
         let (patches, joints) = patches(scene);
         let quantum = 1e-7 * scene.radius.max(f64::MIN_POSITIVE);
-        let mut seen: HashMap<Key, u32> = HashMap::new();
+        let mut seen: FxHashMap<Key, u32> = FxHashMap::default();
         let (mut first, mut ids) = (vec![NONE; 2 * scene.faces.len()], Vec::new());
         for (k, face) in scene.faces.iter().enumerate() {
             let (p0, e1, e2) = scene.face_frame(face);
@@ -79,7 +79,7 @@ impl Nodes {
         mesh: &Mesh,
         face: u32,
         (patch, quantum): (u32, f64),
-        seen: &HashMap<Key, u32>,
+        seen: &FxHashMap<Key, u32>,
     ) {
         let (p0, e1, e2) = scene.face_frame(&scene.faces[face as usize]);
         let grid = mesh.grid(face);
@@ -225,7 +225,7 @@ fn quantise(p: DVec3, quantum: f64) -> [i64; 3] {
 fn patches(scene: &Scene) -> (Vec<u32>, Vec<Joint>) {
     let mut joints = Vec::new();
     let quantum = 1e-7 * scene.radius.max(f64::MIN_POSITIVE);
-    let mut welded: HashMap<[i64; 3], u32> = HashMap::new();
+    let mut welded: FxHashMap<[i64; 3], u32> = FxHashMap::default();
     let weld: Vec<u32> = scene
         .vertices
         .iter()
@@ -235,7 +235,7 @@ fn patches(scene: &Scene) -> (Vec<u32>, Vec<Joint>) {
         })
         .collect();
     let mut parent: Vec<u32> = (0..scene.faces.len() as u32).collect();
-    let mut edges: HashMap<(u32, u32), Vec<(u32, usize)>> = HashMap::new();
+    let mut edges: FxHashMap<(u32, u32), Vec<(u32, usize)>> = FxHashMap::default();
     for (k, face) in scene.faces.iter().enumerate() {
         let corners = if face.is_triangle() { 3 } else { 4 };
         for c in 0..corners {

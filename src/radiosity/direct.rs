@@ -8,7 +8,7 @@ use crate::embree::ShadowPacket;
 use crate::emitters::{Emitters, Passage, connect, cosine_density, mis_share};
 use crate::form_factor::{EmitterIrradiance, EmitterRows};
 use crate::mesh::Mesh;
-use crate::sampling::{seed_of, sobol};
+use crate::sampling::{SobolTable, seed_of, sobol};
 use crate::visibility::Visibility;
 
 /// Samples the emitters from every element: `per_batch` pairs of points for each of `batches`
@@ -25,7 +25,8 @@ pub fn sample_emitters(
 ) {
     let lamps = Lamps::of(visibility, mesh, emitters);
     if let Some(lamps) = &lamps {
-        light.add(|element| lamps.light(element, (batches, per_batch), seed));
+        let table = SobolTable::new(per_batch);
+        light.add(|element| lamps.light(element, (batches, &table), seed));
     }
     let straight = lamps.is_none();
     if straight || emitters.has_images() {

@@ -21,7 +21,7 @@ use crate::emitters::Emitters;
 use crate::form_factor::EmitterIrradiance;
 use crate::form_factor::analytic::{Polygon, exchange};
 use crate::mesh::{Mesh, NONE, side_index};
-use crate::sampling::{self, seed_of, sobol};
+use crate::sampling::{self, Scramble, ScrambledPoints, SobolTable, seed_of, sobol, unit};
 use crate::scene::Scene;
 use crate::visibility::Visibility;
 use glam::DVec3;
@@ -93,8 +93,14 @@ impl<'a, 's> Lamps<'a, 's> {
         Some(lamps)
     }
 
-    /// Irradiance on an element in each of `batches` independent randomisations of `count` samples [W m^-2].
-    pub fn light(&self, element: u32, (batches, count): (u32, u32), seed: u32) -> Vec<EmitterIrradiance> {
+    /// Irradiance on an element in each of `batches` independent randomisations of the samples `table` [W m^-2].
+    pub fn light(
+        &self,
+        element: u32,
+        (batches, table): (u32, &SobolTable),
+        seed: u32,
+    ) -> Vec<EmitterIrradiance> {
+        let count = table.len() as u32;
         let scene = self.visibility.scene();
         let cell = Polygon::of_element(scene, self.mesh, element);
         let place = self.mesh.place(element).0;
@@ -116,8 +122,13 @@ impl<'a, 's> Lamps<'a, 's> {
         let weak = EVENLY / strength.iter().filter(|s| **s > 0.0).count() as f64;
         let share = |s: &f64| if *s > 0.0 { weak + (1.0 - EVENLY) * s / total } else { 0.0 };
         let chosen = Chosen { shares: strength.iter().map(share).collect() };
+        let mut points = ScrambledPoints::default();
         let sums: Vec<Sums> = (0..batches)
-            .map(|b| self.batch(element, &chosen, count, seed_of(&[seed, element, b, 0x1a3])))
+            .map(|b| {
+                let seed = seed_of(&[seed, element, b, 0x1a3]);
+                table.scramble(&Scramble::new(seed), &mut points);
+                self.batch(element, &chosen, &points, seed)
+            })
             .collect();
         // Where something may hide an emitter and no sample met it, all randomisations agree and may yet be wrong: what n samples
         // missed covers less than 3 / n (95 %). The spread of as much on the whole side: nothing but the standard error sees it.
@@ -175,7 +186,7 @@ impl<'a, 's> Lamps<'a, 's> {
         })
     }
 
-    fn batch(&self, element: u32, chosen: &Chosen, count: u32, seed: u32) -> Sums {
+    fn batch(&self, element: u32, chosen: &Chosen, points: &ScrambledPoints, seed: u32) -> Sums {
         let scene = self.visibility.scene();
         let place = self.mesh.place_of(scene, element);
         let (face, normal) = (place.face, place.normal);
@@ -193,10 +204,13 @@ impl<'a, 's> Lamps<'a, 's> {
             }
             packet.clear();
         };
-        for k in 0..count {
-            let (p, q) = (sobol(k, 0, seed), sobol(k, 1, seed));
+        let coordinates = [0, 1, 2, 3].map(|d| points.coordinate(d));
+        for k in 0..coordinates[0].len() {
+            let p = coordinates.map(|x| f64::from(unit(x[k])));
             let point = self.visibility.start(&place, p[0], p[1]);
-            let (which, share) = chosen.pick(q[0]);
+            // A single emitter takes no choice.
+            let (which, share) =
+                if self.lamps.len() == 1 { (0, 1.0) } else { chosen.pick(sobol(k as u32, 1, seed)[0]) };
             let lamp = &self.lamps[which];
             let Some((target, density)) = lamp.sample(point, p[2], p[3]) else { continue };
             let d = target - point;
@@ -337,9 +351,9 @@ mod tests {
         let mesh = Mesh::new(&scene, &Sides::fronts(&scene), 0.04, false).expect("a mesh");
         let emitters = Emitters::new(&visibility);
         let lamps = Lamps::of(&visibility, &mesh, &emitters).expect("few emitters");
-        let mut below = 0;
+        let (mut below, table) = (0, SobolTable::new(4));
         for element in 0..mesh.len() as u32 {
-            let found = lamps.light(element, (4, 4), 1);
+            let found = lamps.light(element, (4, &table), 1);
             let mean = found.iter().map(|f| f.straight).sum::<Rgb>() / 4.0;
             below += u32::from(found.iter().any(|f| f.straight.min_element() < 0.0));
             assert!(mean.min_element() >= -1e-12 * mean.abs().max_element(), "element {element}: {mean}");

@@ -11,7 +11,7 @@
 
 use super::{Face, Material, polygon};
 use glam::{DVec2, DVec3};
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// An overlap of less than this share of the smaller face is rounding of a common edge.
 const LEAST_OVERLAP: f64 = 1e-7;
@@ -60,7 +60,7 @@ struct Coated<'a> {
     known: &'a [Material],
     made: Vec<Material>,
     /// Of the material on top and what it lies on.
-    numbers: HashMap<(u32, u32), u32>,
+    numbers: FxHashMap<(u32, u32), u32>,
 }
 
 impl Coated<'_> {
@@ -107,18 +107,18 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
     let (low, high) =
         (used().fold(DVec3::INFINITY, DVec3::min), used().fold(DVec3::NEG_INFINITY, DVec3::max));
     let (center, radius) = (0.5 * low + 0.5 * high, 0.5 * (high - low).length());
-    let mut polygon_area: HashMap<u32, f64> = HashMap::new();
+    let mut polygon_area: FxHashMap<u32, f64> = FxHashMap::default();
     for f in faces.iter() {
         *polygon_area.entry(f.polygon).or_default() += f.area;
     }
-    let mut planes: HashMap<[i64; 4], Vec<u32>> = HashMap::new();
+    let mut planes: FxHashMap<[i64; 4], Vec<u32>> = FxHashMap::default();
     for (k, f) in faces.iter().enumerate() {
         planes.entry(plane_key(f, points, center, radius)).or_default().push(k as u32);
     }
     let mut groups: Vec<Vec<u32>> = planes.into_values().filter(|g| g.len() > 1).collect();
     groups.sort_unstable();
     let mut replaced: Vec<(u32, Pieces)> = Vec::new();
-    let mut coated = Coated { known: materials, made: Vec::new(), numbers: HashMap::new() };
+    let mut coated = Coated { known: materials, made: Vec::new(), numbers: FxHashMap::default() };
     for group in groups {
         let mut flats: Vec<Flat> = group.iter().map(|&k| Flat::new(k, faces, points, center)).collect();
         flats.sort_by(|a, b| a.low.x.total_cmp(&b.low.x));
@@ -142,7 +142,7 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
                 && !base.is_glass()
                 && !base.is_emitter()
         };
-        let mut changes: HashMap<u32, Change> = HashMap::new();
+        let mut changes: FxHashMap<u32, Change> = FxHashMap::default();
         for (i, a) in flats.iter().enumerate() {
             for b in flats[i + 1..].iter().take_while(|b| b.low.x < a.high.x) {
                 if faces[a.face as usize].polygon == faces[b.face as usize].polygon

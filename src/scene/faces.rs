@@ -4,7 +4,7 @@ use super::obj::{ObjFile, Polygon};
 use super::{Face, Material, coplanar, polygon};
 use crate::error::{Error, Result};
 use glam::DVec3;
-use std::collections::{HashMap, HashSet};
+use rustc_hash::{FxHashMap, FxHashSet};
 
 /// Shading normals within this of the geometric normal say nothing new.
 const FLAT_TOLERANCE: f64 = 1e-6;
@@ -97,15 +97,15 @@ struct Builder {
     unit: f64,
     /// Distinct points in metres.
     points: Vec<DVec3>,
-    point_numbers: HashMap<[u64; 3], u32>,
+    point_numbers: FxHashMap<[u64; 3], u32>,
     normals: Vec<DVec3>,
     /// Scene normal of a file's normal.
-    normal_numbers: HashMap<u32, u32>,
+    normal_numbers: FxHashMap<u32, u32>,
     faces: Vec<Face>,
     polygon_count: u32,
-    seen_polygons: HashSet<Vec<u32>>,
-    seen_faces: HashSet<[u32; 4]>,
-    object_names: HashMap<u32, String>,
+    seen_polygons: FxHashSet<Vec<u32>>,
+    seen_faces: FxHashSet<[u32; 4]>,
+    object_names: FxHashMap<u32, String>,
     no_area: Tally,
     duplicates: Tally,
     bent: Tally,
@@ -324,7 +324,7 @@ impl Builder {
 #[derive(Default)]
 struct Compacted {
     values: Vec<DVec3>,
-    numbers: HashMap<u32, u32>,
+    numbers: FxHashMap<u32, u32>,
 }
 
 impl Compacted {

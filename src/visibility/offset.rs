@@ -28,7 +28,7 @@
 use crate::scene::{Face, Scene};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// Half a unit in the last place of 1 in single precision.
 const UNIT: f64 = 1.0 / 16_777_216.0;
@@ -157,7 +157,7 @@ impl Offset {
 
 /// Objects of which single precision does not resolve some faces, and how many.
 pub(super) fn unresolved(scene: &Scene, offsets: &[Offset]) -> Vec<(u32, usize)> {
-    let mut counts: HashMap<u32, usize> = HashMap::new();
+    let mut counts: FxHashMap<u32, usize> = FxHashMap::default();
     for (face, _) in scene.faces.iter().zip(offsets).filter(|(_, o)| o.is_exceeded()) {
         *counts.entry(face.object).or_default() += 1;
     }

@@ -42,6 +42,10 @@ const SEGMENTS_OF_ONE: (u32, u32) = (16, 1 << 14);
 const MOST_WITNESSES: usize = 1 << 16;
 /// Segments closer to a surface than this cosine prove nothing.
 const GRAZING: f64 = 1e-4;
+/// Height over a face's plane, as a share of the scene's radius, that is rounding.
+const PLANE: f64 = 1e-12;
+/// Witnesses whose heights over a plane take as long as a segment.
+const CHEAPER: usize = 32;
 /// Most particles, where few found something.
 const MOST_PARTICLES: u32 = 1 << 21;
 /// Points that particles leave behind, at most about.
@@ -234,7 +238,12 @@ fn connects(
             free(visibility, &stone, witnesses, r)
         })
     };
-    let found = (0..work.segments.max(work.rays)).find_map(|k| {
+    // From the back of a room's wall, say, no segment leads anywhere: looking at all witnesses tells, where that is less work.
+    let eps = PLANE * scene.radius;
+    let ahead = |w: &Place| (w.point - p0).dot(normal) > eps;
+    let none_ahead = work.segments as usize > witnesses.len() / CHEAPER && !witnesses.iter().any(ahead);
+    let segments = if none_ahead { 0 } else { work.segments };
+    let found = (0..segments.max(work.rays)).find_map(|k| {
         let p = sobol(k, 0, seed_of(&[seed, side, 0xc0]));
         let (u, v) = if face.is_triangle() { sampling::triangle(p[0], p[1]) } else { (p[0], p[1]) };
         let (u, v) = visibility.inside(side / 2, u, v);
@@ -306,10 +315,11 @@ fn free(visibility: &Visibility, from: &Place, witnesses: &[Place], choice: f64)
     let d = to.point - from.point;
     // Grazing segments could pass through contacts by rounding.
     let l = d.length();
+    if d.dot(from.normal) <= GRAZING * l || -d.dot(to.normal) <= GRAZING * l {
+        return false;
+    }
     let origin = visibility.leave(from.face, from.point, from.normal);
-    d.dot(from.normal) > GRAZING * l
-        && -d.dot(to.normal) > GRAZING * l
-        && visibility.unoccluded(&visibility.segment(origin, to.face, to.point, to.normal))
+    visibility.unoccluded(&visibility.segment(origin, to.face, to.point, to.normal))
 }
 
 struct Walker<'a, 's> {
