@@ -163,7 +163,8 @@ impl RayPacket {
         let hit = &self.query.hit;
         let mut face = [MISS; LANES];
         for (l, face) in face.iter_mut().enumerate() {
-            let found = self.valid.0[l] != 0 && hit.geomID[l] != MISS;
+            // No branches: all lanes at once.
+            let found = (self.valid.0[l] != 0) & (hit.geomID[l] != MISS);
             let met = hit.primID[l].wrapping_add(hit.geomID[l].wrapping_mul(self.triangle_count));
             *face = if found { met } else { MISS };
         }

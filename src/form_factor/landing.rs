@@ -26,7 +26,7 @@ pub(super) struct Landings {
     /// Elements, or [`NONE`].
     pub(super) column: [u32; LANES],
     /// Kinds of the surfaces.
-    pub(super) kind: [u8; LANES],
+    pub(super) kind: [u32; LANES],
 }
 
 /// Where a ray landed.

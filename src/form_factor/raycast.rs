@@ -362,10 +362,10 @@ impl<'a, 's> Caster<'a, 's> {
             let landings = self.targets.landings(&hits, &rays);
             let mut other = [false; LANES];
             for l in 0..LANES {
-                let kind = landings.kind[l];
-                escaped[l] += u32::from(kind & ESCAPED != 0);
-                other[l] = (kind & (EMITTER | SPECULAR | UNREACHED) != 0) | (hits.face[l] == face[l]);
-                absorbed[l] += u32::from((kind & ABSORBED != 0) & !other[l]);
+                let is = |kinds: u8| landings.kind[l] & u32::from(kinds) != 0;
+                escaped[l] += u32::from(is(ESCAPED));
+                other[l] = is(EMITTER | SPECULAR | UNREACHED) | (hits.face[l] == face[l]);
+                absorbed[l] += u32::from(is(ABSORBED) & !other[l]);
             }
             if active == u16::MAX && other == [false; LANES] {
                 for (own, column) in own.iter().zip(landings.column) {

@@ -1,6 +1,6 @@
 //! The cells of one face: those of a regular lattice, or larger ones that its cells make up.
 
-use super::lattice::{CellAt, CellFrame, Lattice};
+use super::lattice::{CellAt, CellFrame, Lattice, MOST_ALONG};
 use super::{MOST_ELEMENTS, NONE};
 use glam::DVec2;
 use std::sync::Arc;
@@ -58,6 +58,9 @@ impl Grid {
             return None;
         }
         let lattice = Lattice { nu: base.nu << deepest, nv: base.nv << deepest, triangle: base.triangle };
+        if lattice.nu.max(lattice.nv) > MOST_ALONG {
+            return None;
+        }
         let mut cells = Vec::with_capacity(levels.len());
         let mut rest = levels.iter().copied().peekable();
         for cell in 0..base.len() as u32 {

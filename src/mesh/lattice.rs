@@ -22,6 +22,21 @@ pub struct Lattice {
     pub triangle: bool,
 }
 
+/// Most cells along an edge: what [`floor`] takes, and single precision still tells apart in (u, v).
+pub(super) const MOST_ALONG: u32 = 1 << 22;
+
+/// The whole part of a number in [0, [`MOST_ALONG`]]; others are clamped to that.
+///
+/// Rust's own conversion is done lane by lane: half of the time that it takes to find where 16 rays landed.
+#[inline(always)]
+fn floor(x: f32) -> i32 {
+    // Numbers from here to twice as much are whole, and their lower bits count from zero.
+    const WHOLE: f32 = (1 << 23) as f32;
+    let x = x.max(0.0).min(MOST_ALONG as f32);
+    let rounded = x + WHOLE;
+    (rounded.to_bits() & ((1 << 23) - 1)) as i32 - i32::from(rounded - WHOLE > x)
+}
+
 impl Lattice {
     /// The lattice whose cell edges are at most `size` long.
     pub(super) fn of(scene: &Scene, face: &Face, size: f64) -> Lattice {
@@ -60,12 +75,11 @@ impl Lattice {
     /// No branches and nothing but 32-bit numbers: of many rays at a time, all lanes do the same. Numbers of cells fit 27 bits.
     #[inline(always)]
     fn square(&self, u: f32, v: f32) -> (i32, i32, bool, (f32, f32)) {
-        let number = |x: f32| x.max(0.0) as i32;
         let (nu, nv) = (self.nu as i32, self.nv as i32);
         let (fu, fv) = (u * nu as f32, v * nv as f32);
-        let iv = number(fv).min(nv - 1);
+        let iv = floor(fv).min(nv - 1);
         let last = nu - 1 - iv * i32::from(self.triangle);
-        let iu = number(fu).min(last);
+        let iu = floor(fu).min(last);
         let (s, t) = (fu - iu as f32, fv - iv as f32);
         (iu, iv, (iu < last) & (s + t > 1.0), (s, t))
     }
@@ -276,6 +290,21 @@ mod tests {
                 assert!((area - if triangle { 0.5 } else { 1.0 }).abs() < 1e-9);
             }
         }
+    }
+
+    #[test]
+    fn whole_parts() {
+        let most = MOST_ALONG as f32;
+        for k in [0i32, 1, 2, 3, 77, 1 << 20, (1 << 22) - 1] {
+            let x = k as f32;
+            let next = |x: f32| f32::from_bits(x.to_bits() + 1);
+            let before = |x: f32| f32::from_bits(x.to_bits() - 1);
+            for y in [x, next(x), x + 0.25, x + 0.5, before(x + 1.0)] {
+                assert_eq!(floor(y), k, "{y}");
+            }
+        }
+        assert_eq!([-1.0, -0.0, f32::NAN, f32::NEG_INFINITY].map(floor), [0; 4]);
+        assert_eq!([most, most + 1.0, 1e30, f32::INFINITY].map(floor), [1 << 22; 4]);
     }
 
     #[test]

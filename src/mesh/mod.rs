@@ -12,6 +12,7 @@ mod place;
 
 pub use division::Division;
 pub use grid::Grid;
+use lattice::MOST_ALONG;
 pub use lattice::{CellFrame, Lattice};
 pub use patch::Nodes;
 pub use place::Place;
@@ -176,6 +177,13 @@ impl Mesh {
                 }
                 first[side] = total as u32;
                 total += grid.len();
+                let along = grid.lattice.nu.max(grid.lattice.nv);
+                if along > MOST_ALONG {
+                    let object = &scene.objects[face.object as usize];
+                    return Err(Error::Usage(format!(
+                        "element size {element_size} m divides an edge of \"{object}\" by more than {MOST_ALONG}: choose a larger --element-size"
+                    )));
+                }
                 if total > u64::from(MOST_ELEMENTS) {
                     return Err(Error::Usage(format!(
                         "element size {element_size} m makes more than {MOST_ELEMENTS} elements: choose a larger --element-size"

@@ -26,7 +26,7 @@ pub(super) struct Places {
     nodes: [[u32; LANES]; 4],
     weights: [[f32; LANES]; 4],
     /// [`EMITTER`] and [`SPECULAR`].
-    pub(super) kind: [u8; LANES],
+    pub(super) kind: [u32; LANES],
 }
 
 impl Landings {

@@ -28,8 +28,8 @@ pub struct SideTable {
 pub struct SideLanes<'t> {
     /// First number of the side, or [`NONE`].
     pub first: [u32; LANES],
-    /// Kind of the side.
-    pub kind: [u8; LANES],
+    /// Kind of the side; 32 bits a lane, like all else, so that lanes go together.
+    pub kind: [u32; LANES],
     nu: [u32; LANES],
     nv: [u32; LANES],
     triangle: [bool; LANES],
@@ -41,6 +41,12 @@ impl FaceSides {
     /// A face without cells.
     pub fn bare(normal: Vec3, kind: [u8; 2]) -> FaceSides {
         FaceSides { normal, grid: Lattice { nu: 1, nv: 1, triangle: false }.into(), first: [NONE; 2], kind }
+    }
+
+    /// Both kinds, that of the front in the lower byte.
+    #[inline(always)]
+    fn kinds(&self) -> u32 {
+        u32::from(u16::from_le_bytes(self.kind))
     }
 
     /// 0 for a ray that comes to the front, 1 for one that comes to the back.
@@ -72,15 +78,25 @@ impl SideTable {
     #[inline(always)]
     pub fn lanes(&self, hits: &Hits, rays: &RayLanes) -> SideLanes<'_> {
         let mut face = [&self.faces[0]; LANES];
-        let (mut normal, mut first, mut kind) = ([[0.0; LANES]; 3], [[NONE; LANES]; 2], [[0; LANES]; 2]);
+        let (mut normal, mut first, mut kinds) = ([[0.0; LANES]; 3], [[NONE; LANES]; 2], [0; LANES]);
         let (mut nu, mut nv, mut triangle) = ([0; LANES], [0; LANES], [false; LANES]);
-        for l in 0..LANES {
-            let f = self.face(hits.face[l]);
-            face[l] = f;
-            (normal[0][l], normal[1][l], normal[2][l]) = f.normal.into();
-            (first[0][l], first[1][l]) = f.first.into();
-            (kind[0][l], kind[1][l]) = f.kind.into();
-            (nu[l], nv[l], triangle[l]) = (f.grid.lattice.nu, f.grid.lattice.nv, f.grid.lattice.triangle);
+        if hits.face == [hits.face[0]; LANES] {
+            // Neighbours mostly land on one face: nothing to gather.
+            let f = self.face(hits.face[0]);
+            face = [f; LANES];
+            normal = f.normal.to_array().map(|x| [x; LANES]);
+            (first, kinds) = (f.first.map(|x| [x; LANES]), [f.kinds(); LANES]);
+            (nu, nv) = ([f.grid.lattice.nu; LANES], [f.grid.lattice.nv; LANES]);
+            triangle = [f.grid.lattice.triangle; LANES];
+        } else {
+            for l in 0..LANES {
+                let f = self.face(hits.face[l]);
+                face[l] = f;
+                (normal[0][l], normal[1][l], normal[2][l]) = f.normal.into();
+                (first[0][l], first[1][l]) = f.first.into();
+                kinds[l] = f.kinds();
+                (nu[l], nv[l], triangle[l]) = (f.grid.lattice.nu, f.grid.lattice.nv, f.grid.lattice.triangle);
+            }
         }
         let mut front = [false; LANES];
         for l in 0..LANES {
@@ -89,7 +105,7 @@ impl SideTable {
         }
         SideLanes {
             first: std::array::from_fn(|l| if front[l] { first[0][l] } else { first[1][l] }),
-            kind: std::array::from_fn(|l| if front[l] { kind[0][l] } else { kind[1][l] }),
+            kind: std::array::from_fn(|l| (if front[l] { kinds[l] } else { kinds[l] >> 8 }) & 0xff),
             nu,
             nv,
             triangle,
