@@ -17,6 +17,9 @@ use crate::mesh::Mesh;
 use crate::scene::Scene;
 use std::ops::Range;
 
+/// A row with more than one entry in so many columns is sooner looked through than put in order.
+const DENSE: usize = 8;
+
 /// Form factors between nodes, which are the elements of a scene or its objects (one for each side that takes part).
 ///
 /// Rows are sparse, in the order of their columns, f64. What left the scene or landed on sides that
@@ -107,7 +110,12 @@ impl Factors {
                 sum[j] += f;
                 square[j] += f * f;
             }
-            touched.sort_unstable();
+            if touched.len() * DENSE > n {
+                touched.clear();
+                touched.extend((0..n as u32).filter(|j| sum[*j as usize] != 0.0));
+            } else {
+                touched.sort_unstable();
+            }
             for &j in &touched {
                 let (total, squares) = (sum[j as usize], square[j as usize]);
                 (sum[j as usize], square[j as usize]) = (0.0, 0.0);

@@ -75,7 +75,12 @@ impl FewPairs {
         };
         let sum = |row: &[(u32, f64, f64)]| row.iter().map(|r| r.1).sum::<f64>();
         let whole = sum(row) + total(summary);
-        row.retain(|(j, ..)| known.binary_search_by_key(j, |k| k.0).is_err());
+        // Both are in order.
+        let mut next = known.iter().map(|k| k.0).peekable();
+        row.retain(|(j, ..)| {
+            while next.next_if(|k| k < j).is_some() {}
+            next.peek() != Some(j)
+        });
         let (rest, left) = (sum(row) + total(summary), whole - sum(&known));
         if rest > 0.0 {
             let scale = (left / rest).max(0.0);
@@ -85,6 +90,7 @@ impl FewPairs {
             }
         }
         row.extend(known.into_iter().filter(|k| k.1 > 0.0));
-        row.sort_unstable_by_key(|r| r.0);
+        // Two runs in order: merged, not sorted.
+        row.sort_by_key(|r| r.0);
     }
 }
