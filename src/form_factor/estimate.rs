@@ -20,8 +20,9 @@ const FEW_RAYS: u32 = 128;
 const FEW_ELEMENTS: usize = 64;
 /// Relative error of unoccluded factors among many elements.
 const QUICK: f64 = 1e-5;
-/// Rays an element for each element of an emitter: with fewer, the emitters' pairs would take longer than the rays.
-const RAYS_A_LAMP: u32 = 64;
+/// Rays an element for each element of an emitter: with fewer, the pairs of emitters would take much longer than the rays. Without
+/// them a small lamp is met by a few rays of a row, and all light has their noise.
+const RAYS_A_LAMP: u32 = 16;
 /// Relative error of the unoccluded factors of emitters beside hemisphere rays.
 const LAMP: f64 = 1e-4;
 /// Factor of emitters below which errors count as shares of this one.
