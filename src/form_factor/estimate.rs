@@ -118,7 +118,7 @@ pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Foun
 }
 
 /// The factors of emitters, pair by pair: a small lamp takes few of a hemisphere's rays, and all light depends on it.
-/// None where there are no emitters, or so many that they would take longer than the rays.
+/// None where there are no emitters, or so many that they would take much longer than the rays.
 fn lamps(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Option<FewPairs> {
     let scene = visibility.scene();
     let emits = |e: &u32| {
