@@ -3,13 +3,13 @@
 //! Written without compression: what is stored is noise in its last digits, and compressing takes longer than computing it.
 //! Read with or without, as `numpy.savez_compressed` may have written it.
 
-use npyz::{AutoSerialize, DType, WriterBuilder};
-use std::io::{BufWriter, Read, Result, Seek, Write};
+use npyz::{AutoSerialize, DType, TypeWrite, WriterBuilder};
+use std::io::{Read, Result, Seek, Write};
 use zip::result::{ZipError, ZipResult};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
-/// Bytes that go into the file at a time: npyz writes each number by itself.
+/// Bytes that go into the file at a time.
 const BUFFER: usize = 1 << 16;
 /// Bytes of an array's file before its values, at most.
 const HEADER: u64 = 1 << 16;
@@ -33,12 +33,25 @@ impl<W: Write + Seek> Writer<W> {
         shape: &[u64],
         values: impl Iterator<Item = T>,
     ) -> Result<()> {
-        let mut buffer = BufWriter::with_capacity(BUFFER, self.entry(name)?);
-        let options = npyz::WriteOptions::new().default_dtype().shape(shape);
-        let mut writer = options.writer(&mut buffer).begin_nd()?;
-        writer.extend(values)?;
-        writer.finish()?;
-        buffer.flush()
+        let kind = T::default_dtype();
+        let options = npyz::WriteOptions::new_header_only().dtype(kind.clone()).shape(shape);
+        let entry = options.writer(self.entry(name)?).write_header_only()?;
+        // npyz's own writer hands on each number by itself.
+        let writer = T::writer(&kind).map_err(std::io::Error::other)?;
+        let mut left = shape.iter().product::<u64>();
+        let mut buffer = Vec::with_capacity(BUFFER + 16);
+        for value in values {
+            left = left.checked_sub(1).ok_or_else(|| std::io::Error::other("more values than the shape has"))?;
+            writer.write_one(&mut buffer, &value)?;
+            if buffer.len() >= BUFFER {
+                entry.write_all(&buffer)?;
+                buffer.clear();
+            }
+        }
+        if left > 0 {
+            return Err(std::io::Error::other("fewer values than the shape has"));
+        }
+        entry.write_all(&buffer)
     }
 
     /// Adds a text without dimensions, as bytes.

@@ -1,6 +1,6 @@
 //! Rows of form factors in the memory that they need.
 
-use crate::color::Rgb;
+use crate::color::{self, Rgb};
 
 /// Bits of a counted entry that hold the column; the others hold the count less one.
 const COLUMN_BITS: u32 = 27;
@@ -188,6 +188,39 @@ impl<'a> Row<'a> {
         (0..self.batches()).flat_map(move |b| row.batch(b))
     }
 
+    /// Shows column and value, the mean of the channels, of each entry of all randomisations; a column may come once in each.
+    #[inline]
+    pub(super) fn each_mean(&self, mut show: impl FnMut(usize, f64)) {
+        let range = self.start[0] as usize..self.start[self.batches()] as usize;
+        let columns = &self.columns[range.clone()];
+        match self.values {
+            Values::Counts(scale) => {
+                for range in self.start.windows(2) {
+                    let mut entries = self.columns[range[0] as usize..range[1] as usize].iter();
+                    while let Some(e) = entries.next() {
+                        let (column, mut count) = (e & COLUMN, (e >> COLUMN_BITS) + 1);
+                        // The rest of a large count follows.
+                        let mut last = count;
+                        while last == MOST && entries.as_slice().first().is_some_and(|e| e & COLUMN == column) {
+                            last = entries.next().map_or(0, |e| (e >> COLUMN_BITS) + 1);
+                            count += last;
+                        }
+                        show(column as usize, f64::from(count) * scale);
+                    }
+                }
+            }
+            Values::Grey(values) => {
+                columns.iter().zip(&values[range]).for_each(|(j, v)| show(*j as usize, f64::from(*v)));
+            }
+            Values::Coloured(values) => {
+                let values = values[3 * range.start..3 * range.end].chunks_exact(3);
+                columns.iter().zip(values).for_each(|(j, v)| {
+                    show(*j as usize, color::mean(Rgb::new(v[0].into(), v[1].into(), v[2].into())));
+                });
+            }
+        }
+    }
+
     /// Shows randomisation, column and count of each entry of a row that counts rays; a column may come several times.
     #[inline]
     pub(super) fn counts(&self, mut show: impl FnMut(usize, usize, u32)) {
@@ -285,6 +318,9 @@ mod tests {
         let found = |b: usize| row.batch(b).map(|(j, f)| (j as u32, f.x)).collect::<Vec<_>>();
         assert_eq!(found(0), [(7, 0.5), (COLUMN, 32_768.0), (3, 16.5)]);
         assert_eq!((found(1), found(2)), (vec![], vec![(3, 16.0)]));
+        let mut means = Vec::new();
+        row.each_mean(|j, f| means.push((j as u32, f)));
+        assert_eq!(means, [(7, 0.5), (COLUMN, 32_768.0), (3, 16.5), (3, 16.0)]);
         let sum = row.sum(0, 3, |j| if j == 3 { Rgb::ONE } else { Rgb::ZERO });
         assert_eq!(sum, Rgb::splat(32.5));
         assert_eq!(row.sum_batch(2, |_| Rgb::ONE), Rgb::splat(48.0));

@@ -2,6 +2,7 @@
 
 mod heatmap;
 mod npz;
+mod sums;
 mod text;
 mod view;
 
@@ -15,10 +16,12 @@ use super::{Estimates, ExchangeMatrix, Found, ObjectTable};
 use crate::color::{self, Rgb};
 use crate::mesh::Mesh;
 use crate::scene::Scene;
+use rayon::prelude::*;
 use std::ops::Range;
+use sums::Sums;
 
-/// A row with more than one entry in so many columns is sooner looked through than put in order.
-const DENSE: usize = 8;
+/// Rows that are turned into factors at a time.
+const PART: usize = 64;
 
 /// Form factors between nodes, which are the elements of a scene or its objects (one for each side that takes part).
 ///
@@ -58,6 +61,18 @@ pub struct Factors {
     pub written: &'static str,
 }
 
+/// Some of the rows of [`Factors`].
+#[derive(Default)]
+struct Part {
+    /// Entries by row.
+    lengths: Vec<usize>,
+    columns: Vec<u32>,
+    values: Vec<f64>,
+    errors: Vec<f64>,
+    /// What escaped and what was absorbed, by row.
+    lost: Vec<(Rgb, Rgb)>,
+}
+
 impl Factors {
     /// One node an element, and no factors yet in the rows that are kept.
     fn without_entries(scene: &Scene, mesh: &Mesh, rows: Range<usize>, rays: u32, seconds: f64) -> Factors {
@@ -90,54 +105,51 @@ impl Factors {
         rows: Range<usize>,
         seconds: f64,
     ) -> Factors {
-        let n = mesh.len();
-        let batches = matrix.batches();
         let mut factors = Factors::without_entries(scene, mesh, rows.clone(), matrix.rays_per_row, seconds);
-        if batches == 1 {
-            // Each entry is a factor; of several randomisations, some entries are the same factor's. Grown by
-            // doubling, a large matrix would take twice its memory.
-            factors.columns.reserve_exact(matrix.stored());
-            factors.values.reserve_exact(matrix.stored());
+        let of_part = |sums: &mut Sums, part: Range<usize>| {
+            let mut found = Part::default();
+            let mut entries = Vec::new();
+            for row in part {
+                sums.row(matrix, row, &mut entries);
+                let mut summary = matrix.summary[row];
+                if let Some(few) = few {
+                    few.mend(row, factors.areas[row], &mut entries, &mut summary);
+                }
+                found.lost.push((summary.escaped, summary.absorbed + summary.dropped));
+                found.lengths.push(entries.len());
+                found.columns.extend(entries.iter().map(|e| e.0));
+                found.values.extend(entries.iter().map(|e| e.1));
+                if matrix.batches() > 1 {
+                    found.errors.extend(entries.iter().map(|e| e.2));
+                }
+            }
+            found
+        };
+        let end = rows.end;
+        let parts: Vec<Part> = rows
+            .step_by(PART)
+            .collect::<Vec<_>>()
+            .into_par_iter()
+            .map_init(|| Sums::new(mesh.len()), |sums, first| of_part(sums, first..end.min(first + PART)))
+            .collect();
+        // Grown by doubling, a large matrix would take twice its memory.
+        let stored = parts.iter().map(|p| p.columns.len()).sum();
+        factors.columns.reserve_exact(stored);
+        factors.values.reserve_exact(stored);
+        if matrix.batches() > 1 {
+            factors.errors.reserve_exact(stored);
         }
-        let (mut sum, mut square, mut touched) = (vec![0.0; n], vec![0.0; n], Vec::new());
-        let mut found: Vec<(u32, f64, f64)> = Vec::new();
-        for row in rows {
-            for (j, f) in matrix.row(row) {
-                let f = color::mean(f);
-                if sum[j] == 0.0 {
-                    touched.push(j as u32);
-                }
-                sum[j] += f;
-                square[j] += f * f;
-            }
-            if touched.len() * DENSE > n {
-                touched.clear();
-                touched.extend((0..n as u32).filter(|j| sum[*j as usize] != 0.0));
-            } else {
-                touched.sort_unstable();
-            }
-            for &j in &touched {
-                let (total, squares) = (sum[j as usize], square[j as usize]);
-                (sum[j as usize], square[j as usize]) = (0.0, 0.0);
-                // Each randomisation's estimate is `batches` times its share of the row; its absence is an estimate of 0.
-                let b = batches as f64;
-                found.push((j, total, ((b * squares - total * total).max(0.0) / (b - 1.0)).sqrt()));
-            }
-            touched.clear();
-            let mut summary = matrix.summary[row];
-            if let Some(few) = few {
-                few.mend(row, factors.areas[row], &mut found, &mut summary);
-            }
-            factors.escaped.push(color::mean(summary.escaped));
-            factors.absorbed.push(color::mean(summary.absorbed + summary.dropped));
-            for (j, value, error) in found.drain(..) {
-                factors.columns.push(j);
-                factors.values.push(value);
-                if batches > 1 {
-                    factors.errors.push(error);
-                }
-            }
-            factors.start.push(factors.columns.len());
+        for part in parts {
+            let mut at = factors.columns.len();
+            factors.start.extend(part.lengths.iter().map(|length| {
+                at += length;
+                at
+            }));
+            factors.columns.extend_from_slice(&part.columns);
+            factors.values.extend_from_slice(&part.values);
+            factors.errors.extend_from_slice(&part.errors);
+            factors.escaped.extend(part.lost.iter().map(|l| color::mean(l.0)));
+            factors.absorbed.extend(part.lost.iter().map(|l| color::mean(l.1)));
         }
         factors
     }
