@@ -41,7 +41,8 @@ impl<W: Write + Seek> Writer<W> {
         let mut left = shape.iter().product::<u64>();
         let mut buffer = Vec::with_capacity(BUFFER + 16);
         for value in values {
-            left = left.checked_sub(1).ok_or_else(|| std::io::Error::other("more values than the shape has"))?;
+            left =
+                left.checked_sub(1).ok_or_else(|| std::io::Error::other("more values than the shape has"))?;
             writer.write_one(&mut buffer, &value)?;
             if buffer.len() >= BUFFER {
                 entry.write_all(&buffer)?;

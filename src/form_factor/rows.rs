@@ -201,7 +201,8 @@ impl<'a> Row<'a> {
                         let (column, mut count) = (e & COLUMN, (e >> COLUMN_BITS) + 1);
                         // The rest of a large count follows.
                         let mut last = count;
-                        while last == MOST && entries.as_slice().first().is_some_and(|e| e & COLUMN == column) {
+                        while last == MOST && entries.as_slice().first().is_some_and(|e| e & COLUMN == column)
+                        {
                             last = entries.next().map_or(0, |e| (e >> COLUMN_BITS) + 1);
                             count += last;
                         }

@@ -67,7 +67,7 @@ impl Configuration {
     pub fn methods(&self) -> Vec<Method> {
         let mut methods = vec![Method::Random, Method::Sobol, Method::Reciprocity];
         methods.extend_from_slice(match self.answer {
-            Answer::Exact => &[Method::Exact],
+            Answer::Exact => &[Method::Automatic, Method::Pairs, Method::Exact],
             Answer::Pairs { .. } => &[Method::Automatic, Method::Pairs],
             Answer::Rows { .. } => &[],
         });

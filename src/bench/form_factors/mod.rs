@@ -170,9 +170,12 @@ impl Method {
                 Ok((Factors::of_found(scene, mesh, &found, (false, 0..n), 0.0), seconds))
             }
             Method::Pairs => {
-                let error = Some(10f64.powi(-(setting as i32)));
+                let error = 10f64.powi(-(setting as i32));
                 let work = pair_work(seed);
-                let work = PairWork { error, cells: error.or(work.cells), floor: FLOOR, ..work };
+                // As [`estimate`] does where an error is asked for.
+                let tolerance = work.tolerance.max(0.01 * error);
+                let (error, cells) = (Some(error), Some(error));
+                let work = PairWork { error, cells, tolerance, floor: FLOOR, ..work };
                 of_pairs(PairFactors::new(&tree()?, mesh, &work))
             }
             Method::Exact => {

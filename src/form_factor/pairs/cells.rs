@@ -24,8 +24,15 @@ use std::collections::BinaryHeap;
 
 /// Most cells of a pair before these are halved for accuracy.
 const MOST_CELLS: usize = 48;
+/// As many for each body between, over the relative error that is allowed. Measured on concentric spheres, the Cornell box and the
+/// gallery, against converged runs: as many factors miss what is asked as with all cells.
+const CUTS: f64 = 0.16;
+/// And not fewer than this.
+const FEW_CELLS: usize = 8;
 /// Most cells of a pair.
 const MOST_HALVED: usize = 4096;
+/// Most times that cells are refined for a share that has changed meanwhile.
+const ROUNDS: usize = 4;
 /// Share of a cell's extent below which a plane does not cut it.
 const SLIVER: f64 = 1e-4;
 /// Largest radius of a cell as a share of the distance to the polygon.
@@ -46,6 +53,8 @@ const BENT: f64 = 1.0 / 27.0;
 #[derive(Default)]
 pub struct Cells {
     cells: Vec<Cell>,
+    /// Cells beyond which no plane cuts any.
+    most_cells: usize,
     planes: Vec<DVec3>,
     before: PlaneSet,
     /// Doubt in cells (bits of a number that is not negative) and their places.
@@ -127,6 +136,8 @@ impl Cells {
     /// The fraction of the exchange between `a` and `b`, which face each other, that these bodies leave.
     /// Points lie on `a`, which should be the one farther from the bodies.
     pub fn fraction(&mut self, a: &Polygon, b: &Polygon, bodies: &[&Body], accuracy: Accuracy) -> Fraction {
+        let each = (CUTS / accuracy.relative) as usize;
+        self.most_cells = (bodies.len() * each.max(FEW_CELLS)).min(MOST_CELLS);
         self.split(a, b, bodies);
         self.halve(b.middle());
         let target = Target::new(b, a, bodies);
@@ -151,7 +162,14 @@ impl Cells {
             return found;
         }
         self.quarter(&target, found.value, least);
-        self.refine(&target, accuracy, least);
+        // Doubts are added up for the share that was known first, and may be a little more for the last one.
+        for _ in 0..ROUNDS {
+            self.refine(&target, accuracy, least);
+            let found = self.sum();
+            if found.error <= accuracy.allowed(found.value) {
+                return found;
+            }
+        }
         self.sum()
     }
 
@@ -344,7 +362,7 @@ impl Cells {
 
     /// Cuts the cells that a plane crosses.
     fn cut(&mut self, point: DVec3, normal: DVec3) {
-        if self.cells.len() >= MOST_CELLS {
+        if self.cells.len() >= self.most_cells {
             return;
         }
         for k in 0..self.cells.len() {
@@ -368,7 +386,9 @@ impl Cells {
         while k < self.cells.len() {
             let polygon = self.cells[k].polygon;
             let middle = polygon.middle();
-            if self.cells.len() < 2 * MOST_CELLS && polygon.radius(middle) > NEAR * middle.distance(target) {
+            if self.cells.len() < 2 * self.most_cells
+                && polygon.radius(middle) > NEAR * middle.distance(target)
+            {
                 self.cells.swap_remove(k);
                 let halves = polygon.halves().into_iter().flatten();
                 self.cells.extend(halves.map(Cell::of));
