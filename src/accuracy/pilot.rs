@@ -330,17 +330,15 @@ impl<'a, 's> Pilot<'a, 's> {
         let gathered = |level: usize, run: usize| &self.levels[level].sampled[2].runs[run];
         let step = |fine: usize| {
             let [a, b] = [0, 1].map(|run| minus(gathered(fine, run), gathered(fine - 1, run)));
-            product(&a, &b)
+            a.iter().zip(&b).map(|(a, b)| a.dot(*b)).collect::<Vec<_>>()
         };
         let last = self.levels.len() - 1;
         let (least, most, otherwise) = SHRINK;
-        let mut shrink = otherwise;
-        if last >= 2 {
-            let (now, before) = (step(last), step(last - 1));
-            if now.value > 2.0 * now.error && before.value > 2.0 * before.error {
-                shrink = (now.value / before.value).sqrt().clamp(least, most);
-            }
-        }
+        let fall = if last >= 2 { ratio(&step(last), &step(last - 1)) } else { None };
+        let shrink = match fall {
+            Some(fall) if fall.value > 2.0 * fall.error => fall.safe().sqrt().clamp(least, most),
+            _ => otherwise,
+        };
         shrink / (1.0 - shrink)
     }
 
@@ -362,6 +360,15 @@ impl<'a, 's> Pilot<'a, 's> {
         // What is below zero tells of noise that pixels have in common, by elements that many of them see.
         Square { value, error: (square.error / (mean * mean)).max(-value) }
     }
+}
+
+/// The sum of one list over that of another, pixel by pixel, with the standard error: what few pixels lead both of is no doubt. None
+/// where the other one's sum is not above zero.
+fn ratio(a: &[f64], b: &[f64]) -> Option<Square> {
+    let [sum, of] = [a, b].map(|x| x.iter().sum::<f64>());
+    let value = sum / of;
+    let spread = a.iter().zip(b).map(|(a, b)| (a - value * b).powi(2)).sum::<f64>();
+    (of > 0.0).then(|| Square { value, error: spread.sqrt() / of })
 }
 
 fn minus(a: &[Rgb], b: &[Rgb]) -> Vec<Rgb> {
@@ -420,4 +427,23 @@ pub(super) fn difference(a: &Image, b: &Image, mask: &[bool]) -> (f64, f64) {
         }
     }
     (square / f64::max(n, 1.0), sum / f64::max(n, 1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One pixel leads both lists: their means are hardly known, their ratio is. What varies by itself counts.
+    #[test]
+    fn ratios_are_known_better_than_means() {
+        let before: Vec<f64> = (0..100).map(|k| if k == 7 { 1000.0 } else { 1.0 }).collect();
+        let same: Vec<f64> = before.iter().map(|b| 0.1 * b).collect();
+        let found = ratio(&same, &before).expect("a sum above zero");
+        assert!((found.value - 0.1).abs() < 1e-12 && found.error < 1e-12, "{found:?}");
+        // 0.5 more or less by turns: the sum stays, and its standard error is 0.5 sqrt(100) = 5.
+        let noisy: Vec<f64> = same.iter().enumerate().map(|(k, a)| a + 0.5 - (k % 2) as f64).collect();
+        let found = ratio(&noisy, &before).expect("a sum above zero");
+        assert!((found.value - 0.1).abs() < 1e-12 && (found.error - 5.0 / 1099.0).abs() < 1e-6, "{found:?}");
+        assert_eq!(ratio(&same, &[0.0; 100]), None);
+    }
 }
