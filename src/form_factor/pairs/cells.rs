@@ -137,7 +137,7 @@ impl Cells {
     /// Points lie on `a`, which should be the one farther from the bodies.
     pub fn fraction(&mut self, a: &Polygon, b: &Polygon, bodies: &[&Body], accuracy: Accuracy) -> Fraction {
         let each = (CUTS / accuracy.relative) as usize;
-        self.most_cells = (bodies.len() * each.max(FEW_CELLS)).min(MOST_CELLS);
+        self.most_cells = (bodies.len() * each.clamp(FEW_CELLS, MOST_CELLS)).min(MOST_CELLS);
         self.split(a, b, bodies);
         self.halve(b.middle());
         let target = Target::new(b, a, bodies);
