@@ -20,8 +20,8 @@ use rayon::prelude::*;
 use std::ops::Range;
 use sums::Sums;
 
-/// Rows that are turned into factors at a time.
-const PART: usize = 64;
+/// Rows that a thread turns into factors at a time.
+const PART: usize = 256;
 
 /// Form factors between nodes, which are the elements of a scene or its objects (one for each side that takes part).
 ///
@@ -106,6 +106,12 @@ impl Factors {
         seconds: f64,
     ) -> Factors {
         let mut factors = Factors::without_entries(scene, mesh, rows.clone(), matrix.rays_per_row, seconds);
+        if matrix.batches() == 1 {
+            // Each entry is a factor; of several randomisations, some entries are the same factor's. Grown by
+            // doubling, a large matrix would take twice its memory.
+            factors.columns.reserve_exact(matrix.stored());
+            factors.values.reserve_exact(matrix.stored());
+        }
         let of_part = |sums: &mut Sums, part: Range<usize>| {
             let mut found = Part::default();
             let mut entries = Vec::new();
@@ -113,7 +119,7 @@ impl Factors {
                 sums.row(matrix, row, &mut entries);
                 let mut summary = matrix.summary[row];
                 if let Some(few) = few {
-                    few.mend(row, factors.areas[row], &mut entries, &mut summary);
+                    few.mend(row, mesh.area(row as u32), &mut entries, &mut summary);
                 }
                 found.lost.push((summary.escaped, summary.absorbed + summary.dropped));
                 found.lengths.push(entries.len());
@@ -125,33 +131,28 @@ impl Factors {
             }
             found
         };
-        let end = rows.end;
-        let parts: Vec<Part> = rows
-            .step_by(PART)
-            .collect::<Vec<_>>()
-            .into_par_iter()
-            .map_init(|| Sums::new(mesh.len()), |sums, first| of_part(sums, first..end.min(first + PART)))
-            .collect();
-        // Grown by doubling, a large matrix would take twice its memory.
-        let stored = parts.iter().map(|p| p.columns.len()).sum();
-        factors.columns.reserve_exact(stored);
-        factors.values.reserve_exact(stored);
-        if matrix.batches() > 1 {
-            factors.errors.reserve_exact(stored);
-        }
-        for part in parts {
-            let mut at = factors.columns.len();
-            factors.start.extend(part.lengths.iter().map(|length| {
-                at += length;
-                at
-            }));
-            factors.columns.extend_from_slice(&part.columns);
-            factors.values.extend_from_slice(&part.values);
-            factors.errors.extend_from_slice(&part.errors);
-            factors.escaped.extend(part.lost.iter().map(|l| color::mean(l.0)));
-            factors.absorbed.extend(part.lost.iter().map(|l| color::mean(l.1)));
+        // A part for each thread at a time: all parts at once would take the memory of the factors again.
+        let mut sums: Vec<Sums> = (0..rayon::current_num_threads()).map(|_| Sums::new(mesh.len())).collect();
+        for first in rows.clone().step_by(PART * sums.len()) {
+            let part = |k: usize| rows.end.min(first + k * PART)..rows.end.min(first + (k + 1) * PART);
+            let of_part = |(k, sums): (usize, &mut Sums)| of_part(sums, part(k));
+            let parts: Vec<Part> = sums.par_iter_mut().enumerate().map(of_part).collect();
+            parts.iter().for_each(|part| factors.append(part));
         }
         factors
+    }
+
+    fn append(&mut self, part: &Part) {
+        let mut at = self.columns.len();
+        self.start.extend(part.lengths.iter().map(|length| {
+            at += length;
+            at
+        }));
+        self.columns.extend_from_slice(&part.columns);
+        self.values.extend_from_slice(&part.values);
+        self.errors.extend_from_slice(&part.errors);
+        self.escaped.extend(part.lost.iter().map(|l| color::mean(l.0)));
+        self.absorbed.extend(part.lost.iter().map(|l| color::mean(l.1)));
     }
 
     /// Factors however they were found; `rows` of them are kept.
