@@ -6,6 +6,7 @@ use crate::mesh::{Mesh, NONE};
 use crate::scene::Scene;
 use crate::visibility::{FaceSides, SideTable};
 use glam::Vec3;
+use pulp::Simd;
 
 /// An emitter whose light is gathered on the way.
 pub(super) const EMITTER: u8 = 1;
@@ -83,8 +84,8 @@ impl Targets {
 
     /// Where the rays of a packet landed.
     #[inline(always)]
-    pub(super) fn landings(&self, hits: &Hits, rays: &RayLanes) -> Landings {
-        let sides = self.0.lanes(hits, rays);
+    pub(super) fn landings<S: Simd>(&self, simd: S, hits: &Hits, rays: &RayLanes) -> Landings {
+        let sides = self.0.lanes(simd, hits, rays);
         Landings { column: sides.cells(hits), kind: sides.kind }
     }
 }

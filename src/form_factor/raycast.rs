@@ -26,7 +26,7 @@ use crate::sampling::{MAX_POINTS, Scramble, ScrambledPoints, SobolTable, seed_of
 use crate::visibility::Visibility;
 use fate::Fate;
 use glam::Vec3;
-use pulp::{Arch, NullaryFnOnce};
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 /// Elements that one task casts: small enough to share the work, large enough to hold a few groups of [`LANES`].
@@ -168,12 +168,12 @@ struct Packets<'p, 'a, 's> {
     batch: u32,
 }
 
-impl NullaryFnOnce for Packets<'_, '_, '_> {
+impl WithSimd for Packets<'_, '_, '_> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
-        self.caster.packets(self.scratch, self.lanes, self.offset, self.batch);
+    fn with_simd<S: Simd>(self, simd: S) {
+        self.caster.packets(simd, self.scratch, self.lanes, self.offset, self.batch);
     }
 }
 
@@ -340,7 +340,7 @@ impl<'a, 's> Caster<'a, 's> {
 
     /// Casts one randomisation of a part of a group, which begins at element `offset` of it.
     #[inline(always)]
-    fn packets(&self, scratch: &mut Scratch, lanes: &Lanes, offset: usize, batch: u32) {
+    fn packets<S: Simd>(&self, simd: S, scratch: &mut Scratch, lanes: &Lanes, offset: usize, batch: u32) {
         let (n, stride) = (self.table.len(), self.stride());
         let first = self.place(scratch, offset, batch);
         let landed = first * stride;
@@ -353,13 +353,15 @@ impl<'a, 's> Caster<'a, 's> {
         let face: [u32; LANES] =
             std::array::from_fn(|l| lanes.sources.get(place(l).0).map_or(NONE, |s| s.face));
         let (mut escaped, mut absorbed) = ([0u32; LANES], [0u32; LANES]);
+
         for base in (0..n).step_by(step) {
             let rays = lanes.rays(&scratch.points, base);
             let active = if n - base >= step { whole } else { lanes.active(n - base) };
             scratch.packet.fill(&rays, active);
             self.visibility.closest16(&mut scratch.packet, true);
+
             let hits = scratch.packet.hits();
-            let landings = self.targets.landings(&hits, &rays);
+            let landings = self.targets.landings(simd, &hits, &rays);
             let mut other = [false; LANES];
             for l in 0..LANES {
                 let is = |kinds: u8| landings.kind[l] & u32::from(kinds) != 0;

@@ -17,7 +17,7 @@ use crate::sampling::{cell_bits, concentric_disc_rough, sobol_bits, unit};
 use crate::scene::Material;
 use crate::visibility::{SurfaceHit, SurfacePoint};
 use glam::{DVec3, Vec3};
-use pulp::NullaryFnOnce;
+use pulp::{Simd, WithSimd};
 use std::f64::consts::{FRAC_1_PI, PI};
 
 /// A point on a diffuse surface whose light is to be found.
@@ -57,12 +57,12 @@ struct FromHemisphere<'r, 'a, 's> {
     irradiance: &'r mut [Rgb; LANES],
 }
 
-impl NullaryFnOnce for FromHemisphere<'_, '_, '_> {
+impl WithSimd for FromHemisphere<'_, '_, '_> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
-        self.context.light_from_hemisphere(self.receivers, self.shared, self.irradiance);
+    fn with_simd<S: Simd>(self, simd: S) {
+        self.context.light_from_hemisphere(simd, self.receivers, self.shared, self.irradiance);
     }
 }
 
@@ -198,7 +198,13 @@ impl Context<'_, '_> {
 
     /// Adds irradiance by cosine-weighted rays that read reflected radiosity where they land.
     #[inline(always)]
-    fn light_from_hemisphere(&self, receivers: &[Receiver], shared: Sampler, irradiance: &mut [Rgb; LANES]) {
+    fn light_from_hemisphere<S: Simd>(
+        &self,
+        simd: S,
+        receivers: &[Receiver],
+        shared: Sampler,
+        irradiance: &mut [Rgb; LANES],
+    ) {
         let count = self.settings.gather_rays;
         let numbers = Numbers::new(receivers, shared, (2, count), self.settings.spp);
         let bases = Bases::new(receivers, &numbers);
@@ -213,7 +219,7 @@ impl Context<'_, '_> {
             packet.fill(&rays, active);
             self.visibility.closest16(&mut packet, rays.is_narrow(active));
             let hits = packet.hits();
-            let places = self.landings.places(&hits, &rays);
+            let places = self.landings.places(simd, &hits, &rays);
             for lane in numbers.lanes(count - base) {
                 let r = numbers.receiver(lane);
                 let &Receiver { face, origin, normal, sampler, albedo, .. } = &receivers[r];

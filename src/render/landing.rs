@@ -8,6 +8,7 @@ use crate::mesh::NONE;
 use crate::radiosity::{Field, Solution};
 use crate::scene::Scene;
 use crate::visibility::{FaceSides, SideTable, SurfaceHit};
+use pulp::Simd;
 use std::f64::consts::FRAC_1_PI;
 
 /// A side that emits.
@@ -55,8 +56,8 @@ impl Landings {
 
     /// Where the rays of a packet landed.
     #[inline(always)]
-    pub fn places(&self, hits: &Hits, rays: &RayLanes) -> Places {
-        let sides = self.0.lanes(hits, rays);
+    pub fn places<S: Simd>(&self, simd: S, hits: &Hits, rays: &RayLanes) -> Places {
+        let sides = self.0.lanes(simd, hits, rays);
         let (nodes, weights) = sides.interpolation(hits);
         Places { first: sides.first, nodes, weights, kind: sides.kind }
     }

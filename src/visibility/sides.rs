@@ -3,6 +3,7 @@
 use crate::embree::{Hits, LANES, RayLanes};
 use crate::mesh::{Grid, Lattice, NONE};
 use glam::Vec3;
+use pulp::Simd;
 
 /// Both sides of a face; the front comes first.
 #[derive(Debug, Clone)]
@@ -17,10 +18,14 @@ pub struct FaceSides {
     pub kind: [u8; 2],
 }
 
+/// What 16 lanes read of a face.
+type Record = [u32; 8];
+
 /// The faces of a scene, and one more that stands for none.
 #[derive(Debug)]
 pub struct SideTable {
     faces: Vec<FaceSides>,
+    records: Vec<Record>,
     adaptive: bool,
 }
 
@@ -32,7 +37,7 @@ pub struct SideLanes<'t> {
     pub kind: [u32; LANES],
     nu: [u32; LANES],
     nv: [u32; LANES],
-    triangle: [bool; LANES],
+    triangle: [u32; LANES],
     /// Where some faces have cells that differ in size.
     grids: Option<[&'t Grid; LANES]>,
 }
@@ -43,10 +48,11 @@ impl FaceSides {
         FaceSides { normal, grid: Lattice { nu: 1, nv: 1, triangle: false }.into(), first: [NONE; 2], kind }
     }
 
-    /// Both kinds, that of the front in the lower byte.
-    #[inline(always)]
-    fn kinds(&self) -> u32 {
-        u32::from(u16::from_le_bytes(self.kind))
+    fn record(&self) -> Record {
+        let [x, y, z] = self.normal.to_array().map(f32::to_bits);
+        let lattice = &self.grid.lattice;
+        let bits = u32::from(self.kind[0]) | u32::from(self.kind[1]) << 8 | u32::from(lattice.triangle) << 16;
+        [x, y, z, self.first[0], self.first[1], bits, lattice.nu, lattice.nv]
     }
 
     /// 0 for a ray that comes to the front, 1 for one that comes to the back.
@@ -60,7 +66,8 @@ impl SideTable {
     /// The table of faces, in their order; no face is of the kind `nothing`.
     pub fn new(faces: impl Iterator<Item = FaceSides>, nothing: u8) -> SideTable {
         let faces: Vec<FaceSides> = faces.chain([FaceSides::bare(Vec3::ZERO, [nothing; 2])]).collect();
-        SideTable { adaptive: faces.iter().any(|t| t.grid.is_adaptive()), faces }
+        let records = faces.iter().map(FaceSides::record).collect();
+        SideTable { adaptive: faces.iter().any(|t| t.grid.is_adaptive()), records, faces }
     }
 
     /// A face; one that there is not stands for none.
@@ -72,52 +79,85 @@ impl SideTable {
     /// Takes bits away from the kinds of all sides.
     pub fn without(&mut self, kind: u8) {
         self.faces.iter_mut().flat_map(|f| &mut f.kind).for_each(|k| *k &= !kind);
+        self.records = self.faces.iter().map(FaceSides::record).collect();
     }
 
     /// The sides that the rays of a packet landed on.
     #[inline(always)]
-    pub fn lanes(&self, hits: &Hits, rays: &RayLanes) -> SideLanes<'_> {
-        let mut face = [&self.faces[0]; LANES];
-        let (mut normal, mut first, mut kinds) = ([[0.0; LANES]; 3], [[NONE; LANES]; 2], [0; LANES]);
-        let (mut nu, mut nv, mut triangle) = ([0; LANES], [0; LANES], [false; LANES]);
-        if hits.face == [hits.face[0]; LANES] {
-            // Neighbours mostly land on one face: nothing to gather.
-            let f = self.face(hits.face[0]);
-            face = [f; LANES];
-            normal = f.normal.to_array().map(|x| [x; LANES]);
-            (first, kinds) = (f.first.map(|x| [x; LANES]), [f.kinds(); LANES]);
-            (nu, nv) = ([f.grid.lattice.nu; LANES], [f.grid.lattice.nv; LANES]);
-            triangle = [f.grid.lattice.triangle; LANES];
-        } else {
-            for l in 0..LANES {
-                let f = self.face(hits.face[l]);
-                face[l] = f;
-                (normal[0][l], normal[1][l], normal[2][l]) = f.normal.into();
-                (first[0][l], first[1][l]) = f.first.into();
-                kinds[l] = f.kinds();
-                (nu[l], nv[l], triangle[l]) = (f.grid.lattice.nu, f.grid.lattice.nv, f.grid.lattice.triangle);
-            }
-        }
-        let mut front = [false; LANES];
+    pub fn lanes<S: Simd>(&self, simd: S, hits: &Hits, rays: &RayLanes) -> SideLanes<'_> {
+        let last = self.records.len() - 1;
+        let met: [&Record; LANES] = std::array::from_fn(|l| &self.records[(hits.face[l] as usize).min(last)]);
+        let [x, y, z, front_first, back_first, bits, nu, nv] = fields(simd, met);
+        let (mut first, mut kind, mut triangle) = ([0; LANES], [0; LANES], [0; LANES]);
         for l in 0..LANES {
-            let [x, y, z] = [0, 1, 2].map(|c| normal[c][l] * rays.direction[c][l]);
-            front[l] = x + y + z < 0.0;
+            let [dx, dy, dz] = [0, 1, 2].map(|c| rays.direction[c][l]);
+            let [x, y, z] = [x[l], y[l], z[l]].map(f32::from_bits);
+            let cosine = x * dx + y * dy + z * dz;
+            // All ones where the ray comes to the front: as a mask, LLVM leaves it in its lane.
+            let front = ((cosine + 0.0).to_bits() as i32 >> 31) as u32;
+            first[l] = back_first[l] ^ ((front_first[l] ^ back_first[l]) & front);
+            kind[l] = bits[l] >> (8 & !front) & 0xff;
+            triangle[l] = bits[l] >> 16;
         }
-        SideLanes {
-            first: std::array::from_fn(|l| if front[l] { first[0][l] } else { first[1][l] }),
-            kind: std::array::from_fn(|l| (if front[l] { kinds[l] } else { kinds[l] >> 8 }) & 0xff),
-            nu,
-            nv,
-            triangle,
-            grids: if self.adaptive { Some(face.map(|f| &f.grid)) } else { None },
-        }
+        let grids = if self.adaptive { Some(hits.face.map(|face| &self.face(face).grid)) } else { None };
+        SideLanes { first, kind, nu, nv, triangle, grids }
     }
+}
+
+/// The numbers of 16 records, each with those of the others.
+///
+/// Read lane by lane, they would go to memory one by one and come back in whole registers, which waits until the last of them is
+/// there: as much time as all else that is done to find where 16 rays landed.
+#[inline(always)]
+fn fields<S: Simd>(simd: S, records: [&Record; LANES]) -> [[u32; LANES]; 8] {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(v3) = (&simd as &dyn std::any::Any).downcast_ref::<pulp::x86::V3>() {
+        let low = transposed(*v3, std::array::from_fn(|l| records[l]));
+        let high = transposed(*v3, std::array::from_fn(|l| records[l + 8]));
+        return std::array::from_fn(|c| {
+            std::array::from_fn(|l| if l < 8 { low[c][l] } else { high[c][l - 8] })
+        });
+    }
+    let _ = simd;
+    std::array::from_fn(|c| std::array::from_fn(|l| records[l][c]))
+}
+
+/// Eight rows as columns.
+///
+/// No closures: these would not be compiled for the wider registers.
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+fn transposed(v3: pulp::x86::V3, rows: [&Record; 8]) -> [Record; 8] {
+    let (first, second) =
+        (four(v3, [rows[0], rows[1], rows[2], rows[3]]), four(v3, [rows[4], rows[5], rows[6], rows[7]]));
+    let mut columns = [[0; 8]; 8];
+    for k in 0..4 {
+        columns[k] = pulp::cast(v3.avx2._mm256_permute2x128_si256::<0x20>(first[k], second[k]));
+        columns[k + 4] = pulp::cast(v3.avx2._mm256_permute2x128_si256::<0x31>(first[k], second[k]));
+    }
+    columns
+}
+
+/// Columns k and k + 4 of four rows, in the lower and the upper half of register k.
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+fn four(v3: pulp::x86::V3, rows: [&Record; 4]) -> [std::arch::x86_64::__m256i; 4] {
+    let [a, b, c, d] =
+        [pulp::cast(*rows[0]), pulp::cast(*rows[1]), pulp::cast(*rows[2]), pulp::cast(*rows[3])];
+    let (ab, cd) = (v3.avx2._mm256_unpacklo_epi32(a, b), v3.avx2._mm256_unpacklo_epi32(c, d));
+    let (ab_high, cd_high) = (v3.avx2._mm256_unpackhi_epi32(a, b), v3.avx2._mm256_unpackhi_epi32(c, d));
+    [
+        v3.avx2._mm256_unpacklo_epi64(ab, cd),
+        v3.avx2._mm256_unpackhi_epi64(ab, cd),
+        v3.avx2._mm256_unpacklo_epi64(ab_high, cd_high),
+        v3.avx2._mm256_unpackhi_epi64(ab_high, cd_high),
+    ]
 }
 
 impl SideLanes<'_> {
     #[inline(always)]
     fn lattice(&self, l: usize) -> Lattice {
-        Lattice { nu: self.nu[l], nv: self.nv[l], triangle: self.triangle[l] }
+        Lattice { nu: self.nu[l], nv: self.nv[l], triangle: self.triangle[l] != 0 }
     }
 
     /// Numbers of the cells that the rays landed on, counted from [`SideLanes::first`]; [`NONE`] where the side has none.
