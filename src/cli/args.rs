@@ -55,8 +55,8 @@ pub struct Pass1Args {
 
 #[derive(Debug, ClapArgs)]
 pub struct AdaptiveArgs {
-    /// Refine elements only where the light that the image reads asks for it, as much for all surfaces as for what the scene's
-    /// cameras see; --element-size is then the size of the finest [default: the scene file's, or false].
+    /// Refine elements only where the light that the image reads asks for it: for what the scene's cameras see, and a tenth as much
+    /// for all surfaces; --element-size is then the size of the finest [default: the scene file's, or false].
     #[arg(long, value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
     pub adaptive: Option<bool>,
 }

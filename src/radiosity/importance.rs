@@ -13,10 +13,15 @@ use crate::scene::Scene;
 /// Largest error of the importance over the largest importance.
 const TOLERANCE: f64 = 1e-6;
 
+/// What the light of all surfaces counts where there are pictures, which count 1. Their light makes pictures right too: in
+/// `scenes/corridor`, 2,700 elements show 2.3 % of error, not 3.0 %, without noise.
+const SURFACES: f64 = 0.1;
+
 /// Where rays of one camera meet diffuse surfaces: face, front side and (u, v) there.
 pub type View = Vec<(u32, bool, [f32; 2])>;
 
-/// What the light of each element is worth: the scene's reflected light counts as 1, and so does that of all pictures.
+/// What the light of each element is worth: that of all pictures counts as 1, and the scene's reflected light as [`SURFACES`], or as 1
+/// without pictures.
 #[derive(Debug, Clone)]
 pub struct Importance {
     /// Open areas \[m^2\].
@@ -52,7 +57,7 @@ impl Importance {
                 }
             }
         };
-        add(&area, 1.0);
+        add(&area, if views.is_empty() { 1.0 } else { SURFACES });
         for view in views {
             let mut rays = vec![0.0; n];
             for (face, front, [u, v]) in view {

@@ -183,7 +183,15 @@ pub fn solve(
     let mapped = part(&|s| s.particles);
     let indirect: Vec<Rgb> = (0..n).map(|e| reflected[e] - direct[e] - image[e] - mapped[e]).collect();
     let nodes = Nodes::new(scene, &mesh);
-    let field = |values: &[Rgb]| Field::new(&mesh, &nodes, open, values);
+    let standard_error = replicas.by_element(scene, &mesh, transport, open);
+    let field = |values: &[Rgb]| {
+        // Of the standard error a part of the light has its share.
+        let noise = |e: usize| {
+            let (part, all) = (color::mean(values[e]), color::mean(reflected[e]));
+            if all > 0.0 { color::mean(standard_error[e]) * (part / all).clamp(0.0, 1.0) } else { 0.0 }
+        };
+        Field::noisy(&mesh, &nodes, open, values, &noise)
+    };
     let has_caustic = chain.iter().any(|c| c.max_element() > 0.0);
     let radiosity: Vec<Rgb> = emitted.iter().zip(&reflected).map(|(e, r)| *e + *r).collect();
     Ok(Solution {
@@ -198,12 +206,12 @@ pub fn solve(
             &irradiance,
             &replicas,
         ),
-        standard_error: replicas.by_element(scene, &mesh, transport, open),
         objects: replicas.by_object(scene, &mesh, transport, &radiosity, open),
         radiosity,
         reflected: field(&reflected),
         indirect: field(&indirect),
         caustic: has_caustic.then(|| field(&chain)),
+        standard_error,
         caustic_map: light.particles.and_then(|p| p.map),
         emitted,
         irradiance,

@@ -4,12 +4,21 @@
 //! bilinear on parallelograms, linear on triangles. So the result never mixes patches,
 //! and is continuous over each as far as its nodes are shared (see [`Nodes`]).
 
-use crate::color::Rgb;
+use crate::color::{self, Rgb};
 use crate::mesh::{Mesh, NONE, Nodes};
 
 /// Times that the nodes are corrected so that cells keep their means: plain averages flatten
 /// gradients at the borders of a patch.
 const CORRECTIONS: usize = 2;
+
+/// Times after that for nodes on borders alone, which have cells on one side only.
+const BORDER_CORRECTIONS: usize = 2;
+
+/// What cells cover at most of the circle about a node on a border.
+const BORDER: f64 = 0.75;
+
+/// Squared, what the range of a few values of one mean is to be expected to be, over their variance.
+const RANGE: f64 = 12.0;
 
 /// A quantity on the nodes.
 #[derive(Debug, Clone)]
@@ -21,15 +30,33 @@ impl Field {
     /// Brings one value an element to the nodes; `open` is each element's uncovered share, its weight.
     /// Nodes never go below zero nor beyond the values of the cells around them by more than these differ.
     pub fn new(mesh: &Mesh, nodes: &Nodes, open: &[f64], values: &[Rgb]) -> Field {
-        Field::corrected(mesh, nodes, open, values, CORRECTIONS)
+        Field::noisy(mesh, nodes, open, values, &|_| 0.0)
+    }
+
+    /// [`Field::new`] of values with the standard errors `noise`: towards borders light goes on as it changes from row to row as
+    /// far as that is more than noise.
+    pub fn noisy(
+        mesh: &Mesh,
+        nodes: &Nodes,
+        open: &[f64],
+        values: &[Rgb],
+        noise: &dyn Fn(usize) -> f64,
+    ) -> Field {
+        Field::corrected(mesh, nodes, open, values, Some(noise))
     }
 
     /// Like [`Field::new`] without the correction, which would sharpen noise as well.
     pub fn smooth(mesh: &Mesh, nodes: &Nodes, open: &[f64], values: &[Rgb]) -> Field {
-        Field::corrected(mesh, nodes, open, values, 0)
+        Field::corrected(mesh, nodes, open, values, None)
     }
 
-    fn corrected(mesh: &Mesh, nodes: &Nodes, open: &[f64], values: &[Rgb], corrections: usize) -> Field {
+    fn corrected(
+        mesh: &Mesh,
+        nodes: &Nodes,
+        open: &[f64],
+        values: &[Rgb],
+        noise: Option<&dyn Fn(usize) -> f64>,
+    ) -> Field {
         let corners: Vec<([usize; 4], f64)> = (0..mesh.len() as u32)
             .map(|e| {
                 let (face, front, cell) = mesh.place(e);
@@ -42,15 +69,43 @@ impl Field {
         let share: Vec<f64> =
             (0..mesh.len()).map(|e| open[e] * f64::from(1u32 << mesh.level(e as u32))).collect();
         let mut weight = vec![0.0; nodes.count()];
+        // What cells cover of the circle about each node: as inside of a face, where four parallelograms or six triangles meet.
+        let mut around = vec![0.0; nodes.count()];
         let mut low = vec![Rgb::INFINITY; nodes.count()];
         let mut high = vec![Rgb::ZERO; nodes.count()];
         for (e, (ids, count)) in corners.iter().enumerate().filter(|(e, _)| open[*e] > 0.0) {
             for &id in &ids[..*count as usize] {
                 weight[id] += share[e];
+                around[id] += if *count == 4.0 { 1.0 / 4.0 } else { 1.0 / 6.0 };
                 low[id] = low[id].min(values[e]);
                 high[id] = high[id].max(values[e]);
             }
         }
+        // On a border the cells of a node may be alike while light changes towards it: how much, the next row tells.
+        let border = |id: usize| around[id] <= BORDER;
+        let (mut least, mut most) = (low.clone(), high.clone());
+        let mut variance = vec![0.0f64; nodes.count()];
+        for (e, (ids, count)) in corners.iter().enumerate().filter(|(e, _)| open[*e] > 0.0) {
+            let ids = &ids[..*count as usize];
+            let of = |ends: &[Rgb], f: fn(Rgb, Rgb) -> Rgb| ids.iter().map(|id| ends[*id]).reduce(f);
+            let (Some(lowest), Some(highest)) = (of(&low, Rgb::min), of(&high, Rgb::max)) else { continue };
+            let noise = noise.map_or(0.0, |noise| noise(e).powi(2));
+            for &id in ids.iter().filter(|id| border(**id)) {
+                (least[id], most[id]) = (least[id].min(lowest), most[id].max(highest));
+                variance[id] = variance[id].max(noise);
+            }
+        }
+        // How much of what light changes by there is not noise.
+        let known = |id: usize| {
+            let change = color::mean(most[id] - least[id]).powi(2);
+            if border(id) && change > 0.0 { (1.0 - RANGE * variance[id] / change).max(0.0) } else { 0.0 }
+        };
+        let known: Vec<f64> = (0..nodes.count()).map(known).collect();
+        let clamped = |k: usize, v: Rgb| {
+            let own = high[k] - low[k];
+            let margin = own + known[k] * (most[k] - least[k] - own);
+            v.clamp((low[k] - margin).max(Rgb::ZERO), high[k] + margin)
+        };
         let spread = |per_element: &dyn Fn(usize) -> Rgb| -> Vec<Rgb> {
             let mut sum = vec![Rgb::ZERO; nodes.count()];
             for (e, (ids, count)) in corners.iter().enumerate().filter(|(e, _)| open[*e] > 0.0) {
@@ -66,14 +121,16 @@ impl Field {
         };
         let mut field = spread(&|e| values[e]);
         nodes.settle(&mut field);
-        for _ in 0..corrections {
+        let rounds = if noise.is_some() { CORRECTIONS + BORDER_CORRECTIONS } else { 0 };
+        for round in 0..rounds {
             let missing = spread(&|e| {
                 let (ids, count) = &corners[e];
                 values[e] - ids[..*count as usize].iter().map(|&id| field[id]).sum::<Rgb>() / *count
             });
-            for (k, v) in field.iter_mut().enumerate().filter(|(k, _)| weight[*k] > 0.0) {
-                let margin = high[k] - low[k];
-                *v = (*v + missing[k]).clamp((low[k] - margin).max(Rgb::ZERO), high[k] + margin);
+            // Half of a border cell's nodes are on the border, and make up for all that it misses.
+            let times = |k: usize| if round < CORRECTIONS { 1.0 } else { 2.0 * known[k] };
+            for (k, v) in field.iter_mut().enumerate().filter(|(k, _)| weight[*k] > 0.0 && times(*k) > 0.0) {
+                *v = clamped(k, *v + times(k) * missing[k]);
             }
             nodes.settle(&mut field);
         }

@@ -71,6 +71,13 @@ pub fn element_errors(
     let shown: Vec<Rgb> =
         (0..mesh.len() as u32).map(|e| at_centroid(field, (mesh, &solution.nodes), mesh, e)).collect();
     let sent: Vec<Rgb> = (0..mesh.len()).map(|e| solution.reflected_radiosity(e)).collect();
+    // Of the standard error a part of the light has its share.
+    let share = |e: usize| match color::mean(sent[e]) {
+        whole if whole > 0.0 => (color::mean(shown[e]) / whole).clamp(0.0, 1.0),
+        _ => 1.0,
+    };
+    let noise: Vec<f64> =
+        (0..mesh.len()).map(|e| color::mean(solution.standard_error[e]) * share(e)).collect();
     let mut errors = vec![ElementError::default(); mesh.len()];
     for level in 1..=division.deepest() {
         let (coarse, within) = division.truncated(level - 1);
@@ -88,16 +95,17 @@ pub fn element_errors(
         let nodes = Nodes::new(scene, &coarse);
         let open: Vec<f64> =
             covered.iter().enumerate().map(|(p, area)| area / coarse.area(p as u32)).collect();
-        let before = Field::new(&coarse, &nodes, &open, &shown_means);
+        let mut variance = vec![0.0; coarse.len()];
+        for (e, p) in parent.iter().enumerate().filter(|(_, p)| covered[**p] > 0.0) {
+            variance[*p] += (noise[e] * area[e] / covered[*p]).powi(2);
+        }
+        let before = Field::noisy(&coarse, &nodes, &open, &shown_means, &|p| variance[p].sqrt());
         // Sums over the quarters of each coarser cell: of the squares, and of what noise makes of them.
         let mut sums = vec![(0.0, 0.0); coarse.len()];
         for e in (0..mesh.len()).filter(|e| mesh.level(*e as u32) == level) {
             let surplus = shown[e] - at_centroid(&before, (&coarse, &nodes), mesh, e as u32);
-            // Of the standard error a part of the light has its share.
-            let whole = color::mean(sent[e]);
-            let share = if whole > 0.0 { (color::mean(shown[e]) / whole).clamp(0.0, 1.0) } else { 1.0 };
-            let noise = solution.standard_error[e] * share;
-            let noise = color::mean(noise * noise);
+            let noise =
+                color::mean(solution.standard_error[e] * solution.standard_error[e]) * share(e).powi(2);
             errors[e].shown = weight[e] * color::mean(surplus * surplus);
             sums[parent[e]].0 += errors[e].shown;
             sums[parent[e]].1 += weight[e] * if noise.is_finite() { noise } else { 0.0 };

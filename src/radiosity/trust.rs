@@ -65,9 +65,9 @@ pub fn too_large(scene: &Scene, solution: &Solution, sent: &[f64], views: bool) 
     let worst = (0..by_object.len()).max_by(|a, b| by_object[*a].total_cmp(&by_object[*b]))?;
     (sum > MUCH).then(|| {
         format!(
-            "elements are too large for light that changes within them: all light{} may be off by up to some {:.0} %, most of it \
-             by object \"{}\"; choose a smaller --element-size",
-            if views { " and the pictures together" } else { "" },
+            "elements are too large for light that changes within them: {} may be off by up to some {:.0} %, most of it by \
+             object \"{}\"; choose a smaller --element-size",
+            if views { "the pictures" } else { "all light" },
             100.0 * sum,
             scene.objects[worst]
         )
