@@ -109,6 +109,32 @@ fn flat_faces_are_continuous_across_every_cell() {
     }
 }
 
+/// Light that changes towards a border, and is alike along it, goes on to the border. Were it that of the cells there, it would be
+/// off by half of what neighbours differ by, 0.2. Noise of that size does not go on.
+#[test]
+fn light_goes_on_to_the_border() {
+    for (obj, noise, off) in
+        [(SQUARE, 0.0, 0.0..0.01), (TRAPEZIUM, 0.0, 0.0..0.02), (SQUARE, 1.0, 0.15..0.21)]
+    {
+        let s = Setup::new(obj, 0.21);
+        let light = |p: DVec3| 3.0 + 2.0 * (p + s.scene.center).y;
+        let values: Vec<Rgb> =
+            (0..s.mesh.len() as u32).map(|e| Rgb::splat(light(s.mesh.centroid(&s.scene, e)))).collect();
+        let field = Field::noisy(&s.mesh, &s.nodes, &s.open, &values, &|_| noise);
+        for y in [0.0, 1.0] {
+            let p = DVec3::new(0.7, y, 0.0) - s.scene.center;
+            let holds = |face: &u32| {
+                let uv = s.uv(*face, p);
+                uv.min_element() > -1e-9
+                    && (!s.mesh.grid(*face).is_triangle() || uv.element_sum() < 1.0 + 1e-9)
+            };
+            let face = (0..s.scene.faces.len() as u32).find(holds).expect("a face at the point");
+            let found = (s.at_point(&field, (face, true), p) - light(p)).abs();
+            assert!(off.contains(&found), "{obj}{y}, noise {noise}: {found}");
+        }
+    }
+}
+
 #[test]
 fn the_halves_of_a_split_polygon_meet_without_a_seam() {
     let s = Setup::new(TRAPEZIUM, 0.21);

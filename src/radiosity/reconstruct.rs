@@ -11,7 +11,7 @@ use crate::mesh::{Mesh, NONE, Nodes};
 /// gradients at the borders of a patch.
 const CORRECTIONS: usize = 2;
 
-/// Times after that for nodes on borders alone, which have cells on one side only.
+/// Times before that for nodes on borders alone, which have cells on one side only: what these lack would be spread to others.
 const BORDER_CORRECTIONS: usize = 2;
 
 /// What cells cover at most of the circle about a node on a border.
@@ -26,9 +26,72 @@ pub struct Field {
     nodes: Vec<[f32; 3]>,
 }
 
+/// The nodes of a cell, and how many there are.
+type Corners = ([usize; 4], f64);
+
+/// How far the correction may move nodes.
+struct Limits {
+    /// The least and the largest value of the cells of each node.
+    own: (Vec<Rgb>, Vec<Rgb>),
+    /// Of border nodes, the same of the cells of the nodes of these cells: on a border the cells of a node may be alike while light
+    /// changes towards it, and how much, the next row tells.
+    wide: (Vec<Rgb>, Vec<Rgb>),
+    /// Of border nodes, how much of that change is not noise; 0 of others.
+    known: Vec<f64>,
+}
+
+impl Limits {
+    fn new(
+        corners: &[Corners],
+        nodes: usize,
+        (open, values): (&[f64], &[Rgb]),
+        noise: Option<&dyn Fn(usize) -> f64>,
+    ) -> Limits {
+        let cells = || corners.iter().enumerate().filter(|(e, _)| open[*e] > 0.0);
+        // What cells cover of the circle about each node: as inside of a face, where four parallelograms or six triangles meet.
+        let mut around = vec![0.0; nodes];
+        let (mut low, mut high) = (vec![Rgb::INFINITY; nodes], vec![Rgb::ZERO; nodes]);
+        for (e, (ids, count)) in cells() {
+            for &id in &ids[..*count as usize] {
+                around[id] += if *count == 4.0 { 1.0 / 4.0 } else { 1.0 / 6.0 };
+                low[id] = low[id].min(values[e]);
+                high[id] = high[id].max(values[e]);
+            }
+        }
+        let border = |id: usize| around[id] <= BORDER;
+        let (mut least, mut most) = (low.clone(), high.clone());
+        let mut variance = vec![0.0f64; nodes];
+        for (e, (ids, count)) in cells() {
+            let ids = &ids[..*count as usize];
+            let of = |ends: &[Rgb], f: fn(Rgb, Rgb) -> Rgb| ids.iter().map(|id| ends[*id]).reduce(f);
+            let (Some(lowest), Some(highest)) = (of(&low, Rgb::min), of(&high, Rgb::max)) else { continue };
+            let noise = noise.map_or(0.0, |noise| noise(e).powi(2));
+            for &id in ids.iter().filter(|id| border(**id)) {
+                (least[id], most[id]) = (least[id].min(lowest), most[id].max(highest));
+                variance[id] = variance[id].max(noise);
+            }
+        }
+        let known = |id: usize| {
+            let change = color::mean(most[id] - least[id]).powi(2);
+            if border(id) && change > 0.0 { (1.0 - RANGE * variance[id] / change).max(0.0) } else { 0.0 }
+        };
+        let known = (0..nodes).map(known).collect();
+        Limits { own: (low, high), wide: (least, most), known }
+    }
+
+    /// A node's value, not below zero nor beyond the values of the cells around it by more than these differ.
+    fn clamp(&self, k: usize, v: Rgb) -> Rgb {
+        let (low, high) = (self.own.0[k], self.own.1[k]);
+        let own = high - low;
+        let margin = own + self.known[k] * (self.wide.1[k] - self.wide.0[k] - own);
+        v.clamp((low - margin).max(Rgb::ZERO), high + margin)
+    }
+}
+
 impl Field {
     /// Brings one value an element to the nodes; `open` is each element's uncovered share, its weight.
-    /// Nodes never go below zero nor beyond the values of the cells around them by more than these differ.
+    /// Nodes never go below zero nor beyond the values of the cells around them by more than these differ, or the next ones behind a
+    /// border.
     pub fn new(mesh: &Mesh, nodes: &Nodes, open: &[f64], values: &[Rgb]) -> Field {
         Field::noisy(mesh, nodes, open, values, &|_| 0.0)
     }
@@ -57,7 +120,7 @@ impl Field {
         values: &[Rgb],
         noise: Option<&dyn Fn(usize) -> f64>,
     ) -> Field {
-        let corners: Vec<([usize; 4], f64)> = (0..mesh.len() as u32)
+        let corners: Vec<Corners> = (0..mesh.len() as u32)
             .map(|e| {
                 let (face, front, cell) = mesh.place(e);
                 let grid = mesh.grid(face);
@@ -68,44 +131,11 @@ impl Field {
         // Near values count for more: those of smaller cells.
         let share: Vec<f64> =
             (0..mesh.len()).map(|e| open[e] * f64::from(1u32 << mesh.level(e as u32))).collect();
+        let limits = Limits::new(&corners, nodes.count(), (open, values), noise);
         let mut weight = vec![0.0; nodes.count()];
-        // What cells cover of the circle about each node: as inside of a face, where four parallelograms or six triangles meet.
-        let mut around = vec![0.0; nodes.count()];
-        let mut low = vec![Rgb::INFINITY; nodes.count()];
-        let mut high = vec![Rgb::ZERO; nodes.count()];
         for (e, (ids, count)) in corners.iter().enumerate().filter(|(e, _)| open[*e] > 0.0) {
-            for &id in &ids[..*count as usize] {
-                weight[id] += share[e];
-                around[id] += if *count == 4.0 { 1.0 / 4.0 } else { 1.0 / 6.0 };
-                low[id] = low[id].min(values[e]);
-                high[id] = high[id].max(values[e]);
-            }
+            ids[..*count as usize].iter().for_each(|id| weight[*id] += share[e]);
         }
-        // On a border the cells of a node may be alike while light changes towards it: how much, the next row tells.
-        let border = |id: usize| around[id] <= BORDER;
-        let (mut least, mut most) = (low.clone(), high.clone());
-        let mut variance = vec![0.0f64; nodes.count()];
-        for (e, (ids, count)) in corners.iter().enumerate().filter(|(e, _)| open[*e] > 0.0) {
-            let ids = &ids[..*count as usize];
-            let of = |ends: &[Rgb], f: fn(Rgb, Rgb) -> Rgb| ids.iter().map(|id| ends[*id]).reduce(f);
-            let (Some(lowest), Some(highest)) = (of(&low, Rgb::min), of(&high, Rgb::max)) else { continue };
-            let noise = noise.map_or(0.0, |noise| noise(e).powi(2));
-            for &id in ids.iter().filter(|id| border(**id)) {
-                (least[id], most[id]) = (least[id].min(lowest), most[id].max(highest));
-                variance[id] = variance[id].max(noise);
-            }
-        }
-        // How much of what light changes by there is not noise.
-        let known = |id: usize| {
-            let change = color::mean(most[id] - least[id]).powi(2);
-            if border(id) && change > 0.0 { (1.0 - RANGE * variance[id] / change).max(0.0) } else { 0.0 }
-        };
-        let known: Vec<f64> = (0..nodes.count()).map(known).collect();
-        let clamped = |k: usize, v: Rgb| {
-            let own = high[k] - low[k];
-            let margin = own + known[k] * (most[k] - least[k] - own);
-            v.clamp((low[k] - margin).max(Rgb::ZERO), high[k] + margin)
-        };
         let spread = |per_element: &dyn Fn(usize) -> Rgb| -> Vec<Rgb> {
             let mut sum = vec![Rgb::ZERO; nodes.count()];
             for (e, (ids, count)) in corners.iter().enumerate().filter(|(e, _)| open[*e] > 0.0) {
@@ -121,16 +151,16 @@ impl Field {
         };
         let mut field = spread(&|e| values[e]);
         nodes.settle(&mut field);
-        let rounds = if noise.is_some() { CORRECTIONS + BORDER_CORRECTIONS } else { 0 };
+        let rounds = if noise.is_some() { BORDER_CORRECTIONS + CORRECTIONS } else { 0 };
         for round in 0..rounds {
             let missing = spread(&|e| {
                 let (ids, count) = &corners[e];
                 values[e] - ids[..*count as usize].iter().map(|&id| field[id]).sum::<Rgb>() / *count
             });
             // Half of a border cell's nodes are on the border, and make up for all that it misses.
-            let times = |k: usize| if round < CORRECTIONS { 1.0 } else { 2.0 * known[k] };
+            let times = |k: usize| if round < BORDER_CORRECTIONS { 2.0 * limits.known[k] } else { 1.0 };
             for (k, v) in field.iter_mut().enumerate().filter(|(k, _)| weight[*k] > 0.0 && times(*k) > 0.0) {
-                *v = clamped(k, *v + times(k) * missing[k]);
+                *v = limits.clamp(k, *v + times(k) * missing[k]);
             }
             nodes.settle(&mut field);
         }
