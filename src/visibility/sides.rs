@@ -93,7 +93,7 @@ impl SideTable {
             let [dx, dy, dz] = [0, 1, 2].map(|c| rays.direction[c][l]);
             let [x, y, z] = [x[l], y[l], z[l]].map(f32::from_bits);
             let cosine = x * dx + y * dy + z * dz;
-            // All ones where the ray comes to the front: as a mask, LLVM leaves it in its lane.
+            // All ones where the ray comes to the front: as a mask, LLVM leaves it in its lane. Adding zero takes the sign from -0.
             let front = ((cosine + 0.0).to_bits() as i32 >> 31) as u32;
             first[l] = back_first[l] ^ ((front_first[l] ^ back_first[l]) & front);
             kind[l] = bits[l] >> (8 & !front) & 0xff;
