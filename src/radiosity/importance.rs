@@ -20,7 +20,7 @@ const SURFACES: f64 = 0.1;
 /// Where rays of one camera meet diffuse surfaces: face, front side and (u, v) there.
 pub type View = Vec<(u32, bool, [f32; 2])>;
 
-/// What the light of each element is worth: that of all pictures counts as 1, and the scene's reflected light as [`SURFACES`], or as 1
+/// What the light of each element is worth: that of all pictures counts as 1, and the scene's reflected light as a tenth, or as 1
 /// without pictures.
 #[derive(Debug, Clone)]
 pub struct Importance {
