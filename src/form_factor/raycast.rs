@@ -353,13 +353,11 @@ impl<'a, 's> Caster<'a, 's> {
         let face: [u32; LANES] =
             std::array::from_fn(|l| lanes.sources.get(place(l).0).map_or(NONE, |s| s.face));
         let (mut escaped, mut absorbed) = ([0u32; LANES], [0u32; LANES]);
-
         for base in (0..n).step_by(step) {
             let rays = lanes.rays(&scratch.points, base);
             let active = if n - base >= step { whole } else { lanes.active(n - base) };
             scratch.packet.fill(&rays, active);
             self.visibility.closest16(&mut scratch.packet, true);
-
             let hits = scratch.packet.hits();
             let landings = self.targets.landings(simd, &hits, &rays);
             let mut other = [false; LANES];

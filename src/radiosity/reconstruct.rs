@@ -17,7 +17,8 @@ const BORDER_CORRECTIONS: usize = 2;
 /// What cells cover at most of the circle about a node on a border.
 const BORDER: f64 = 0.75;
 
-/// Squared, what the range of a few values of one mean is to be expected to be, over their variance.
+/// What noise may make of the squared difference of the cells near a border, over its variance: the range of six such values is
+/// expected to be 2.5 standard errors, of which this is twice the square, lest noise pass for light.
 const RANGE: f64 = 12.0;
 
 /// A quantity on the nodes.

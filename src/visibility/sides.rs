@@ -107,7 +107,7 @@ impl SideTable {
 /// The numbers of 16 records, each with those of the others.
 ///
 /// Read lane by lane, they would go to memory one by one and come back in whole registers, which waits until the last of them is
-/// there: as much time as all else that is done to find where 16 rays landed.
+/// there. That took a third of all time that rays took beside Embree's.
 #[inline(always)]
 fn fields<S: Simd>(simd: S, records: [&Record; LANES]) -> [[u32; LANES]; 8] {
     #[cfg(target_arch = "x86_64")]
