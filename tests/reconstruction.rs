@@ -109,6 +109,35 @@ fn flat_faces_are_continuous_across_every_cell() {
     }
 }
 
+/// Light that changes over few cells keeps its contrast as far as it is more than noise: here a wave of 3 cells.
+#[test]
+fn waves_keep_their_contrast_where_noise_allows() {
+    use std::f64::consts::TAU;
+    let s = Setup::new(SQUARE, 0.05);
+    let wave = |x: f64| 2.0 + (TAU * x / 0.15).sin();
+    // Means over the cells, whose contrast is 0.827 of the wave's.
+    let mean = |x: f64| {
+        let ends = [x - 0.025, x + 0.025].map(|x| (TAU * x / 0.15).cos());
+        2.0 + (ends[0] - ends[1]) * 0.15 / (TAU * 0.05)
+    };
+    let values: Vec<Rgb> = (0..s.mesh.len() as u32)
+        .map(|e| Rgb::splat(mean((s.mesh.centroid(&s.scene, e) + s.scene.center).x)))
+        .collect();
+    let contrast = |noise: f64| {
+        let field = Field::noisy(&s.mesh, &s.nodes, &s.open, &values, &|_| noise);
+        let (mut product, mut square) = (0.0, 0.0);
+        for k in 0..1000 {
+            let x = 0.25 + 0.5 * (f64::from(k) + 0.5) / 1000.0;
+            let found = s.at_point(&field, (0, true), DVec3::new(x, 0.5, 0.0) - s.scene.center);
+            (product, square) = (product + (found - 2.0) * (wave(x) - 2.0), square + (wave(x) - 2.0).powi(2));
+        }
+        product / square
+    };
+    let [clear, noisy] = [0.0, 1.0].map(contrast);
+    println!("contrast kept: {clear:.3}, of as much noise {noisy:.3}");
+    assert!(clear > 0.9 && noisy < clear - 0.2, "{clear}, {noisy}");
+}
+
 /// Light that changes towards a border, and is alike along it, goes on to the border. Were it that of the cells there, it would be
 /// off by half of what neighbours differ by, 0.2. Noise of that size does not go on.
 #[test]
@@ -180,15 +209,15 @@ fn grids_of_different_fineness_meet_without_a_seam() {
     }
 }
 
-/// Away from the borders a linear function comes back but for single precision and what is left
-/// of the borders' flattening; at the borders, within a part of a cell's step.
+/// Beyond the reach of the borders' corrections a linear function comes back but for single precision, three cells from the borders
+/// but for a thousandth of a cell's step, and at them within a part of it.
 #[test]
 fn linear_functions_are_reproduced() {
     let f = |p: DVec3| 1.0 + 0.5 * p.x - 0.25 * p.y;
-    for (obj, size) in [(SQUARE, 0.1), (TRAPEZIUM, 0.1)] {
+    for (obj, size) in [(SQUARE, 0.04), (TRAPEZIUM, 0.04)] {
         let s = Setup::new(obj, size);
         let field = s.field(|e| f(s.mesh.centroid(&s.scene, e) + s.scene.center));
-        let (mut inner, mut outer) = (0.0f64, 0.0f64);
+        let (mut far, mut inner, mut outer) = (0.0f64, 0.0f64, 0.0f64);
         for face in 0..s.scene.faces.len() as u32 {
             let (p0, e1, e2) = s.scene.face_frame(&s.scene.faces[face as usize]);
             for k in 0..4096 {
@@ -202,16 +231,25 @@ fn linear_functions_are_reproduced() {
                 let right = (2.0 - 0.5 * p.y - p.x) / 1.25f64.sqrt();
                 let right = if obj == SQUARE { 1.0 - p.x } else { right };
                 let border = p.x.min(p.y).min(1.0 - p.y).min(right);
-                if border > 3.0 * size { inner = inner.max(error) } else { outer = outer.max(error) }
+                let most = match border / size {
+                    9.0.. => &mut far,
+                    3.0.. => &mut inner,
+                    _ => &mut outer,
+                };
+                *most = most.max(error);
             }
         }
         // What the function changes by over a cell.
         let step = (0.5 + 0.25) * size;
-        println!("{obj:?}: interior {:.1e}, border {:.2} of a cell's step", inner, outer / step);
+        let parts = [inner, outer].map(|e| e / step);
+        println!(
+            "{obj:?}: interior {far:.1e}, further out {:.1e} of a cell's step, border {:.2}",
+            parts[0], parts[1]
+        );
         // Where two lattices of triangles meet, a node's cells do not lie evenly about it.
-        let allowed = if obj == SQUARE { 1e-6 } else { 0.02 * step };
-        assert!(inner < allowed, "{obj}: {inner}");
-        assert!(outer < 0.5 * step, "{obj}: {outer} of {step}");
+        let (exact, near) = if obj == SQUARE { (1e-6, 1e-3) } else { (0.02 * step, 0.02) };
+        assert!(far < exact, "{obj}: {far}");
+        assert!(parts[0] < near && parts[1] < 0.15, "{obj}: {parts:?} of {step}");
     }
 }
 

@@ -11,6 +11,13 @@ use crate::mesh::{Mesh, NONE, Nodes};
 /// gradients at the borders of a patch.
 const CORRECTIONS: usize = 2;
 
+/// Times after that for what nodes still miss beyond noise: more for all would sharpen noise. Cornell box, 4,096 rays: 15 % less error
+/// of quality mesh; 256 rays: 3 %.
+const FINE_CORRECTIONS: usize = 4;
+
+/// What a node must miss for a fine correction, squared, over the variance of the mean of its cells.
+const SIGNIFICANT: f64 = 4.0;
+
 /// Times before that for nodes on borders alone, which have cells on one side only: what these lack would be spread to others.
 const BORDER_CORRECTIONS: usize = 2;
 
@@ -152,14 +159,30 @@ impl Field {
         };
         let mut field = spread(&|e| values[e]);
         nodes.settle(&mut field);
-        let rounds = if noise.is_some() { BORDER_CORRECTIONS + CORRECTIONS } else { 0 };
+        let mut variance = vec![0.0; nodes.count()];
+        if let Some(noise) = noise {
+            for (e, (ids, count)) in corners.iter().enumerate().filter(|(e, _)| open[*e] > 0.0) {
+                let own = (share[e] * noise(e)).powi(2);
+                ids[..*count as usize].iter().for_each(|id| variance[*id] += own / weight[*id].powi(2));
+            }
+        }
+        let fine = |missing: Rgb, variance: f64| {
+            let square = color::mean(missing).powi(2);
+            if square > 0.0 { (1.0 - SIGNIFICANT * variance / square).max(0.0) } else { 0.0 }
+        };
+        const COARSE: usize = BORDER_CORRECTIONS + CORRECTIONS;
+        let rounds = if noise.is_some() { COARSE + FINE_CORRECTIONS } else { 0 };
         for round in 0..rounds {
             let missing = spread(&|e| {
                 let (ids, count) = &corners[e];
                 values[e] - ids[..*count as usize].iter().map(|&id| field[id]).sum::<Rgb>() / *count
             });
             // Half of a border cell's nodes are on the border, and make up for all that it misses.
-            let times = |k: usize| if round < BORDER_CORRECTIONS { 2.0 * limits.known[k] } else { 1.0 };
+            let times = |k: usize| match round {
+                0..BORDER_CORRECTIONS => 2.0 * limits.known[k],
+                BORDER_CORRECTIONS..COARSE => 1.0,
+                _ => fine(missing[k], variance[k]),
+            };
             for (k, v) in field.iter_mut().enumerate().filter(|(k, _)| weight[*k] > 0.0 && times(*k) > 0.0) {
                 *v = limits.clamp(k, *v + times(k) * missing[k]);
             }
