@@ -13,6 +13,7 @@ use crate::sampling::MAX_POINTS;
 use crate::scene::{Camera, Features, Scene};
 use crate::visibility::{Visibility, reachable_sides};
 use crate::{Error, Result};
+use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::time::Instant;
@@ -333,26 +334,29 @@ pub fn solve_directional(
     })
 }
 
-/// What cameras see of diffuse surfaces, by 32 x 32 rays each and at most 64 of them.
+/// Cameras that are asked what they see.
+pub(crate) const MOST_VIEWS: usize = 64;
+
+/// What cameras see of diffuse surfaces, at most 64 of them, by `across` x `across` rays each.
 pub(crate) fn views<'a>(
     visibility: &Visibility,
     cameras: impl ExactSizeIterator<Item = &'a Camera>,
+    across: u32,
 ) -> Vec<View> {
-    const RAYS: u32 = 32;
     let scene = visibility.scene();
     let view = |camera: &Camera| {
         let frame = camera.frame(scene);
-        let at = |k: u32, n: u32| (f64::from(k) + 0.5) * f64::from(n) / f64::from(RAYS);
+        let at = |k: u32, n: u32| (f64::from(k) + 0.5) * f64::from(n) / f64::from(across);
         let ray = |k: u32| {
-            let direction = frame.direction(at(k % RAYS, camera.size[0]), at(k / RAYS, camera.size[1]));
+            let direction = frame.direction(at(k % across, camera.size[0]), at(k / across, camera.size[1]));
             let hit = visibility.closest(frame.origin().as_vec3(), direction.as_vec3(), u32::MAX)?;
             let material = scene.material(&scene.faces[hit.face as usize]);
             let reflects = material.is_diffuse() && (hit.front || material.two_sided);
             reflects.then_some((hit.face, hit.front, [hit.u, hit.v]))
         };
-        (0..RAYS * RAYS).filter_map(ray).collect()
+        (0..across * across).into_par_iter().filter_map(ray).collect()
     };
-    let every = cameras.len().div_ceil(64).max(1);
+    let every = cameras.len().div_ceil(MOST_VIEWS).max(1);
     cameras.step_by(every).map(view).collect()
 }
 
@@ -361,7 +365,7 @@ pub(crate) fn views<'a>(
 pub fn without_elements(visibility: &Visibility, mesh: &Mesh, cameras: &[&Camera]) -> Vec<String> {
     let scene = visibility.scene();
     let mut objects = BTreeSet::new();
-    for view in views(visibility, cameras.iter().copied()) {
+    for view in views(visibility, cameras.iter().copied(), 32) {
         for (face, front, _) in view {
             if mesh.first(face, front) == NONE {
                 objects.insert(scene.faces[face as usize].object);

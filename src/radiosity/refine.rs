@@ -1,7 +1,8 @@
 //! How wrong the light of each element is: where an adaptive mesh needs finer ones.
 //!
 //! What a mesh whose cells are all a level coarser would have shown is known: the same light, averaged over its larger cells and
-//! interpolated between them. How far that is from what the elements show (the hierarchical surplus) bounds what the next level
+//! interpolated between them. How far that is from what the elements show (the hierarchical surplus, over all of an element: at its
+//! centroid alone, smooth light is nearly right whatever the level) bounds what the next level
 //! would change: by theory a quarter of it where light is smooth, a half across an edge, and so alike for elements that
 //! compete. Of it, what the noise of the elements explains says nothing about their size.
 //!
@@ -13,6 +14,7 @@ use super::{Field, Importance, Solution};
 use crate::color::{self, Rgb};
 use crate::mesh::{Division, Mesh, NONE, Nodes};
 use crate::scene::Scene;
+use glam::DVec2;
 use std::collections::HashMap;
 
 /// What division leaves of an edge's squared error.
@@ -103,10 +105,15 @@ pub fn element_errors(
         // Sums over the quarters of each coarser cell: of the squares, and of what noise makes of them.
         let mut sums = vec![(0.0, 0.0); coarse.len()];
         for e in (0..mesh.len()).filter(|e| mesh.level(*e as u32) == level) {
-            let surplus = shown[e] - at_centroid(&before, (&coarse, &nodes), mesh, e as u32);
+            let fields = [(field, mesh, &solution.nodes), (&before, &coarse, &nodes)];
+            let surplus = mean_square(mesh, e as u32, |face, u, v| {
+                let [fine, before] =
+                    fields.map(|(f, of, nodes)| f.at(of, nodes, face, u, v).unwrap_or_default());
+                fine - before
+            });
             let noise =
                 color::mean(solution.standard_error[e] * solution.standard_error[e]) * share(e).powi(2);
-            errors[e].shown = weight[e] * color::mean(surplus * surplus);
+            errors[e].shown = weight[e] * color::mean(surplus);
             sums[parent[e]].0 += errors[e].shown;
             sums[parent[e]].1 += weight[e] * if noise.is_finite() { noise } else { 0.0 };
             errors[e].sent = sent_wrong[e];
@@ -157,6 +164,23 @@ fn means(group: &[usize], (area, covered): (&[f64], &[f64]), of: &[Rgb]) -> Vec<
     }
     let mean = |(sum, area): (&Rgb, &f64)| if *area > 0.0 { *sum / *area } else { Rgb::ZERO };
     sums.iter().zip(covered).map(mean).collect()
+}
+
+/// Mean over an element of the square of what `f` gives by side and place, linear on triangles and bilinear on parallelograms.
+fn mean_square(mesh: &Mesh, element: u32, f: impl Fn((u32, bool), f32, f32) -> Rgb) -> Rgb {
+    let (face, front, cell) = mesh.place(element);
+    let grid = mesh.grid(face);
+    let (o, a, b) = grid.cell_frame(cell);
+    let at = |uv: DVec2| f((face, front), uv.x as f32, uv.y as f32);
+    let (o, a, b, ab) =
+        (at(o), at(o + a), at(o + b), if grid.is_triangle() { Rgb::ZERO } else { at(o + a + b) });
+    if grid.is_triangle() {
+        let sum = o + a + b;
+        return (o * o + a * a + b * b + sum * sum) / 12.0;
+    }
+    // Simpson's rule along each edge: exact for squares.
+    let line = |p: Rgb, q: Rgb| p * p + q * q + (p + q) * (p + q);
+    (line(o, a) + line(b, ab) + line(o + b, a + ab)) / 36.0
 }
 
 /// A field of any mesh at the centroid of an element of another.
