@@ -23,7 +23,7 @@ const LITTLE: usize = 10;
 const NEARLY: f64 = 1.1;
 
 /// Rays of all cameras that tell how much of the pictures each element fills. With a 256th of them, small elements have one or none, and
-/// the pictures of `scenes/cornell` need 1.4 times as many elements.
+/// the pictures of `scenes/cornell` need 1.1 to 1.3 times as many elements.
 const VIEW_RAYS: f64 = 262_144.0;
 
 /// What adapting came to.
