@@ -334,10 +334,10 @@ pub fn solve_directional(
     })
 }
 
-/// Cameras that are asked what they see.
+/// Most cameras that are asked what they see.
 pub(crate) const MOST_VIEWS: usize = 64;
 
-/// What cameras see of diffuse surfaces, at most 64 of them, by `across` x `across` rays each.
+/// What cameras see of diffuse surfaces, at most [`MOST_VIEWS`] of them, by `across` x `across` rays each.
 pub(crate) fn views<'a>(
     visibility: &Visibility,
     cameras: impl ExactSizeIterator<Item = &'a Camera>,

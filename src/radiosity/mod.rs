@@ -185,11 +185,7 @@ pub fn solve(
     let nodes = Nodes::new(scene, &mesh);
     let standard_error = replicas.by_element(scene, &mesh, transport, open);
     let field = |values: &[Rgb]| {
-        // Of the standard error a part of the light has its share.
-        let noise = |e: usize| {
-            let (part, all) = (color::mean(values[e]), color::mean(reflected[e]));
-            if all > 0.0 { color::mean(standard_error[e]) * (part / all).clamp(0.0, 1.0) } else { 0.0 }
-        };
+        let noise = |e: usize| color::mean(standard_error[e]) * share_of_error(values[e], reflected[e]);
         Field::noisy(&mesh, &nodes, open, values, &noise)
     };
     let has_caustic = chain.iter().any(|c| c.max_element() > 0.0);
@@ -238,6 +234,14 @@ pub fn solve_irradiance(
     let exchange = exchange::Exchange::new(rows, &sums, None);
     let acceleration = Acceleration::Balance(Groups::new(&vec![0; matrix.len()]));
     solve::solve(&exchange, transport, &acceleration, incident, None, tolerance)
+}
+
+/// Of the standard error of all reflected light of an element, the share of a part of that light (0 to 1).
+fn share_of_error(part: Rgb, all: Rgb) -> f64 {
+    match color::mean(all) {
+        whole if whole > 0.0 => (color::mean(part) / whole).clamp(0.0, 1.0),
+        _ => 1.0,
+    }
 }
 
 /// Diffuse reflection and transmission at the elements.

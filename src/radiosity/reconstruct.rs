@@ -7,19 +7,19 @@
 use crate::color::{self, Rgb};
 use crate::mesh::{Mesh, NONE, Nodes};
 
-/// Times that the nodes are corrected so that cells keep their means: plain averages flatten
+/// Times that nodes on borders are corrected before the others: they have cells on one side only, and what these lack would be spread.
+const BORDER_CORRECTIONS: usize = 2;
+
+/// Times that all nodes are corrected so that cells keep their means: plain averages flatten
 /// gradients at the borders of a patch.
 const CORRECTIONS: usize = 2;
 
-/// Times after that for what nodes still miss beyond noise: more for all would sharpen noise. Cornell box, 4,096 rays: 15 % less error
+/// Times that they are corrected after that by what they still miss beyond noise: more for all would sharpen noise. Cornell box, 4,096 rays: 15 % less error
 /// of quality mesh; 256 rays: 3 %.
 const FINE_CORRECTIONS: usize = 4;
 
 /// What a node must miss for a fine correction, squared, over the variance of the mean of its cells.
 const SIGNIFICANT: f64 = 4.0;
-
-/// Times before that for nodes on borders alone, which have cells on one side only: what these lack would be spread to others.
-const BORDER_CORRECTIONS: usize = 2;
 
 /// What cells cover at most of the circle about a node on a border.
 const BORDER: f64 = 0.75;

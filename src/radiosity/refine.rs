@@ -10,7 +10,7 @@
 //! more in one ([`Importance`]): by the covariance of both, which a coarser cell has over its quarters. Behind a lamp close under a
 //! ceiling, where what is sent is lost and no light arrives, that is what matters.
 
-use super::{Field, Importance, Solution};
+use super::{Field, Importance, Solution, share_of_error};
 use crate::color::{self, Rgb};
 use crate::mesh::{Division, Mesh, NONE, Nodes};
 use crate::scene::Scene;
@@ -73,11 +73,7 @@ pub fn element_errors(
     let shown: Vec<Rgb> =
         (0..mesh.len() as u32).map(|e| at_centroid(field, (mesh, &solution.nodes), mesh, e)).collect();
     let sent: Vec<Rgb> = (0..mesh.len()).map(|e| solution.reflected_radiosity(e)).collect();
-    // Of the standard error a part of the light has its share.
-    let share = |e: usize| match color::mean(sent[e]) {
-        whole if whole > 0.0 => (color::mean(shown[e]) / whole).clamp(0.0, 1.0),
-        _ => 1.0,
-    };
+    let share = |e: usize| share_of_error(shown[e], sent[e]);
     let noise: Vec<f64> =
         (0..mesh.len()).map(|e| color::mean(solution.standard_error[e]) * share(e)).collect();
     let mut errors = vec![ElementError::default(); mesh.len()];
@@ -172,15 +168,15 @@ fn mean_square(mesh: &Mesh, element: u32, f: impl Fn((u32, bool), f32, f32) -> R
     let grid = mesh.grid(face);
     let (o, a, b) = grid.cell_frame(cell);
     let at = |uv: DVec2| f((face, front), uv.x as f32, uv.y as f32);
-    let (o, a, b, ab) =
-        (at(o), at(o + a), at(o + b), if grid.is_triangle() { Rgb::ZERO } else { at(o + a + b) });
+    let (f0, fa, fb) = (at(o), at(o + a), at(o + b));
     if grid.is_triangle() {
-        let sum = o + a + b;
-        return (o * o + a * a + b * b + sum * sum) / 12.0;
+        let sum = f0 + fa + fb;
+        return (f0 * f0 + fa * fa + fb * fb + sum * sum) / 12.0;
     }
-    // Simpson's rule along each edge: exact for squares.
+    let fab = at(o + a + b);
+    // Simpson's rule along both edges, exact for what is bilinear and squared.
     let line = |p: Rgb, q: Rgb| p * p + q * q + (p + q) * (p + q);
-    (line(o, a) + line(b, ab) + line(o + b, a + ab)) / 36.0
+    (line(f0, fa) + line(fb, fab) + line(f0 + fb, fa + fab)) / 36.0
 }
 
 /// A field of any mesh at the centroid of an element of another.
