@@ -13,6 +13,7 @@
 //! round that does not count ([`rounds`]). Every round has a seed of its own, so the spread of an error is its spread
 //! over randomisations. Timings are wall times of work on [`Context::threads`] threads unless a series says otherwise.
 
+mod elements;
 mod embree;
 mod foreign;
 mod form_factors;
@@ -50,6 +51,8 @@ pub enum Group {
     FormFactors,
     /// Error of images over time.
     Images,
+    /// Uniform and adaptive elements.
+    Elements,
     /// The two-pass method beside what came before it.
     Methods,
     /// Cases on which other programs break.
@@ -62,11 +65,12 @@ pub enum Group {
 
 impl Group {
     /// All groups, in the order in which they run and are shown.
-    pub const ALL: [Group; 8] = [
+    pub const ALL: [Group; 9] = [
         Group::Embree,
         Group::Radiosity,
         Group::FormFactors,
         Group::Images,
+        Group::Elements,
         Group::Methods,
         Group::HardCases,
         Group::Scaling,
@@ -107,6 +111,12 @@ impl Group {
                 "The question that a user has: how good a picture after how long? Every method renders the same views in the same run, \
                  and its error is measured against a converged reference.",
             ),
+            Group::Elements => (
+                "elements",
+                "Uniform and adaptive elements",
+                "Adaptive elements are fine only where the light asks for it. How many uniform ones show a picture as well, and how long \
+                 either takes.",
+            ),
             Group::Methods => (
                 "methods",
                 "The two-pass method beside what came before it",
@@ -141,6 +151,7 @@ impl Group {
             Group::Radiosity => radiosity::run(context),
             Group::FormFactors => form_factors::run(context),
             Group::Images => images::run(context),
+            Group::Elements => elements::run(context),
             Group::Methods => methods::run(context),
             Group::HardCases => hard_cases::run(context),
             Group::Scaling => scaling::run(context),

@@ -1,9 +1,11 @@
 //! References: images of the program's own unbiased path tracer in two independent halves, kept in a cache.
 
 use super::Context;
+use super::view::settings;
 use crate::emitters::Emitters;
 use crate::image::{self, Image, WriteOptions, mean_image, read_exr};
-use crate::render::{Estimator, Method, Settings, render, sees_no_emitter};
+use crate::pipeline::{self, Pass1};
+use crate::render::{Estimator, Method, Quality, Settings, render, sees_no_emitter};
 use crate::scene::Camera;
 use crate::visibility::Visibility;
 use crate::{Error, Result};
@@ -25,7 +27,7 @@ pub struct Reference {
     /// The smallest relative RMSE that [`crate::image::relative_rmse_halves`] tells from none with these halves, at two
     /// standard errors: far below `standard_error`, as errors of many pixels average.
     pub resolution: f64,
-    /// Paths a pixel in each half.
+    /// Paths or samples a pixel in each half.
     pub spp: u32,
 }
 
@@ -81,16 +83,32 @@ pub fn reference(
     let Ok(halves) = <[Image; 2]>::try_from(halves) else {
         return Err(Error::scene("reference", "has not two halves"));
     };
-    let mask = sees_no_emitter(visibility, emitters, camera);
+    Ok(of_halves(halves, sees_no_emitter(visibility, emitters, camera), spp))
+}
+
+/// The reference of a view where paths find too little light: quality `gather` of two independent solutions. Halves, as of
+/// [`reference`]; what their elements have in common is in both, and unknown.
+pub fn gathered(
+    visibility: &Visibility,
+    emitters: &Emitters,
+    camera: &Camera,
+    (pass1, spp): (&Pass1, u32),
+) -> Result<Reference> {
+    let half = |seed: u32| -> Result<Image> {
+        let (cameras, stages) = (std::slice::from_ref(camera), &mut Vec::new());
+        let pass1 = Pass1 { seed, ..*pass1 };
+        let solution = pipeline::solve(visibility, emitters, cameras, &pass1, &|_| (), stages)?.solution;
+        let settings = settings(Method::TwoPass(Quality::Gather), spp, seed);
+        Ok(render(visibility, emitters, Some(&solution), camera, &settings, &|_| ()).0)
+    };
+    let halves = [half(SEEDS[0])?, half(SEEDS[1])?];
+    Ok(of_halves(halves, sees_no_emitter(visibility, emitters, camera), spp))
+}
+
+fn of_halves(halves: [Image; 2], mask: Vec<bool>, spp: u32) -> Reference {
     let (standard_error, resolution) = noise(&halves, &mask);
-    Ok(Reference {
-        mean: mean_image(&halves[0], Some(&halves[1])),
-        halves,
-        mask,
-        standard_error,
-        resolution,
-        spp,
-    })
+    let mean = mean_image(&halves[0], Some(&halves[1]));
+    Reference { mean, halves, mask, standard_error, resolution, spp }
 }
 
 fn fnv(bytes: &[u8]) -> u64 {

@@ -19,8 +19,8 @@ macro_rules! scene {
 }
 
 /// Scenes of the folder `scenes/` by name, with their files.
-pub const SCENES: [(&str, [(&str, &str); 3]); 3] =
-    [scene!("cornell"), scene!("gallery"), scene!("music_lesson")];
+pub const SCENES: [(&str, [(&str, &str); 3]); 4] =
+    [scene!("cornell"), scene!("corridor"), scene!("gallery"), scene!("music_lesson")];
 
 /// A scene of [`SCENES`].
 pub fn embedded(name: &str) -> Result<Scene> {
