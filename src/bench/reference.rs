@@ -87,7 +87,7 @@ pub fn reference(
 }
 
 /// The reference of a view where paths find too little light: quality `gather` of two independent solutions. Halves, as of
-/// [`reference`]; what their elements have in common is in both, and unknown.
+/// [`reference()`]; what their elements have in common is in both, and unknown.
 pub fn gathered(
     visibility: &Visibility,
     emitters: &Emitters,
