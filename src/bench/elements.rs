@@ -1,7 +1,7 @@
 //! Uniform and adaptive elements: how wrong quality `mesh` is with how many of them, after how long.
 
 use super::record::{Chart, Figure, Subject, Unit};
-use super::reference::{Reference, gathered, reference};
+use super::reference::{Reference, reference_of};
 use super::view::{ERROR, View, settings};
 use super::{Context, Measurements, embedded};
 use crate::Result;
@@ -59,17 +59,7 @@ fn scene(context: &Context, plan: &Plan, found: &mut Measurements) -> Result<()>
     camera.size = [width, width * camera.size[1] / camera.size[0]];
     let visibility = Visibility::new(context.device, &scene)?;
     let emitters = Emitters::new(&visibility);
-    // Behind two doorways paths find too little light to tell anything.
-    let (reference, by) = if plan.name == "corridor" {
-        let pass = Pass1 { rays: 8192, element_size: Some(0.1), seed: 0 };
-        (
-            gathered(&visibility, &emitters, &camera, (&pass, 1024))?,
-            "by quality \"gather\", 2 x 1,024 samples",
-        )
-    } else {
-        let spp = context.choose(384, 2048);
-        (reference(context, &visibility, &emitters, &camera, spp)?, "by path tracing")
-    };
+    let (reference, by) = reference_of(plan.name, context, &visibility, &emitters, &camera)?;
     let stage = View {
         context,
         visibility: &visibility,

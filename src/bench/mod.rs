@@ -13,6 +13,7 @@
 //! round that does not count ([`rounds`]). Every round has a seed of its own, so the spread of an error is its spread
 //! over randomisations. Timings are wall times of work on [`Context::threads`] threads unless a series says otherwise.
 
+mod accuracy;
 mod elements;
 mod embree;
 mod foreign;
@@ -53,6 +54,8 @@ pub enum Group {
     Images,
     /// Uniform and adaptive elements.
     Elements,
+    /// Images of a given error.
+    Accuracy,
     /// The two-pass method beside what came before it.
     Methods,
     /// Cases on which other programs break.
@@ -65,12 +68,13 @@ pub enum Group {
 
 impl Group {
     /// All groups, in the order in which they run and are shown.
-    pub const ALL: [Group; 9] = [
+    pub const ALL: [Group; 10] = [
         Group::Embree,
         Group::Radiosity,
         Group::FormFactors,
         Group::Images,
         Group::Elements,
+        Group::Accuracy,
         Group::Methods,
         Group::HardCases,
         Group::Scaling,
@@ -117,6 +121,11 @@ impl Group {
                 "Adaptive elements are fine only where the light asks for it. How many uniform ones show a picture as well, and how long \
                  either takes.",
             ),
+            Group::Accuracy => (
+                "accuracy",
+                "Images of a given error",
+                "With `--error` the program chooses how to make an image. Whether it is as wrong as was asked for, and as it says.",
+            ),
             Group::Methods => (
                 "methods",
                 "The two-pass method beside what came before it",
@@ -152,6 +161,7 @@ impl Group {
             Group::FormFactors => form_factors::run(context),
             Group::Images => images::run(context),
             Group::Elements => elements::run(context),
+            Group::Accuracy => accuracy::run(context),
             Group::Methods => methods::run(context),
             Group::HardCases => hard_cases::run(context),
             Group::Scaling => scaling::run(context),
