@@ -2,7 +2,7 @@
 
 use super::record::{Chart, Figure, PARAMETER, Subject, Unit};
 use super::reference::reference_of;
-use super::view::{View, settings};
+use super::view::{View, settings, small_camera};
 use super::{Context, Measurements, embedded};
 use crate::Result;
 use crate::accuracy::{self, render_to_error};
@@ -45,9 +45,7 @@ pub fn run(context: &Context) -> Result<Measurements> {
 
 fn scene(context: &Context, name: &str, errors: &[f64]) -> Result<Subject> {
     let scene = embedded(name)?;
-    let width = context.choose(64, 160);
-    let mut camera = scene.camera(None)?.clone();
-    camera.size = [width, width * camera.size[1] / camera.size[0]];
+    let camera = small_camera(context, &scene)?;
     let visibility = Visibility::new(context.device, &scene)?;
     let emitters = Emitters::new(&visibility);
     let (reference, by) = reference_of(name, context, &visibility, &emitters, &camera)?;

@@ -2,7 +2,7 @@
 
 use super::record::{Chart, Figure, Subject, Unit};
 use super::reference::{Reference, reference_of};
-use super::view::{ERROR, View, settings};
+use super::view::{ERROR, View, settings, small_camera};
 use super::{Context, Measurements, embedded};
 use crate::Result;
 use crate::adaptive;
@@ -54,9 +54,7 @@ pub fn run(context: &Context) -> Result<Measurements> {
 
 fn scene(context: &Context, plan: &Plan, found: &mut Measurements) -> Result<()> {
     let scene = embedded(plan.name)?;
-    let width = context.choose(64, 160);
-    let mut camera = scene.camera(None)?.clone();
-    camera.size = [width, width * camera.size[1] / camera.size[0]];
+    let camera = small_camera(context, &scene)?;
     let visibility = Visibility::new(context.device, &scene)?;
     let emitters = Emitters::new(&visibility);
     let (reference, by) = reference_of(plan.name, context, &visibility, &emitters, &camera)?;

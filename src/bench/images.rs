@@ -5,7 +5,7 @@ use super::frames::frames;
 use super::pictures::{Kept, pictures};
 use super::record::{Chart, Figure, PARAMETER, Point, Subject, Unit};
 use super::reference::{reference, sees_specular};
-use super::view::{ERROR, FIRST, FLIP, NEXT, SPP, View, pass1, settings};
+use super::view::{ERROR, FIRST, FLIP, NEXT, SPP, View, pass1, settings, small_camera};
 use super::{Context, Measurements, embedded};
 use crate::Result;
 use crate::emitters::Emitters;
@@ -25,9 +25,7 @@ pub fn run(context: &Context) -> Result<Measurements> {
 
 fn scene(context: &Context, name: &str, found: &mut Measurements) -> Result<()> {
     let scene = embedded(name)?;
-    let width = context.choose(64, 160);
-    let mut camera = scene.camera(None)?.clone();
-    camera.size = [width, width * camera.size[1] / camera.size[0]];
+    let camera = small_camera(context, &scene)?;
     let visibility = Visibility::new(context.device, &scene)?;
     let emitters = Emitters::new(&visibility);
     let reference = reference(context, &visibility, &emitters, &camera, context.choose(384, 2048))?;

@@ -47,6 +47,14 @@ pub(super) fn pass1(context: &Context, scene: &Scene) -> Pass1 {
     context.choose(quick, full)
 }
 
+/// The scene's camera, at the size at which images are measured.
+pub(super) fn small_camera(context: &Context, scene: &Scene) -> Result<Camera> {
+    let width = context.choose(64, 160);
+    let mut camera = scene.camera(None)?.clone();
+    camera.size = [width, width * camera.size[1] / camera.size[0]];
+    Ok(camera)
+}
+
 /// One scene, ready to be rendered over and over.
 pub(super) struct View<'a, 's> {
     pub context: &'a Context<'a>,
