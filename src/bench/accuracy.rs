@@ -2,7 +2,7 @@
 
 use super::record::{Chart, Figure, PARAMETER, Subject, Unit};
 use super::reference::reference_of;
-use super::view::{View, settings, small_camera};
+use super::view::{FIRST, View, settings, small_camera};
 use super::{Context, Measurements, embedded};
 use crate::Result;
 use crate::accuracy::{self, render_to_error};
@@ -15,7 +15,6 @@ use std::time::Instant;
 const TRUE: &str = "true error";
 const SAID: &str = "error said";
 const SHARE: &str = "true over asked";
-const TIME: &str = "first frame";
 
 pub fn run(context: &Context) -> Result<Measurements> {
     let quick: &[(&str, &[f64])] = &[("cornell", &[0.1])];
@@ -82,7 +81,7 @@ fn scene(context: &Context, name: &str, errors: &[f64]) -> Result<Subject> {
             point.push(TRUE, Unit::Share, truth);
             point.push(SAID, Unit::Share, made.achieved.relative_rmse);
             point.push(SHARE, Unit::Plain, truth / asked);
-            point.push(TIME, Unit::Seconds, seconds);
+            point.push(FIRST, Unit::Seconds, seconds);
             point.push("elements", Unit::Count, made.achieved.elements as f64);
             point.unresolved = point.summary(TRUE).is_some_and(|s| s.median < reference.resolution);
             if !made.achieved.met {

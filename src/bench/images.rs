@@ -4,7 +4,7 @@ use super::foreign::references;
 use super::frames::frames;
 use super::pictures::{Kept, pictures};
 use super::record::{Chart, Figure, PARAMETER, Point, Subject, Unit};
-use super::reference::{reference, sees_specular};
+use super::reference::{reference_of, sees_specular};
 use super::view::{ERROR, FIRST, FLIP, NEXT, SPP, View, pass1, settings, small_camera};
 use super::{Context, Measurements, embedded};
 use crate::Result;
@@ -28,7 +28,7 @@ fn scene(context: &Context, name: &str, found: &mut Measurements) -> Result<()> 
     let camera = small_camera(context, &scene)?;
     let visibility = Visibility::new(context.device, &scene)?;
     let emitters = Emitters::new(&visibility);
-    let reference = reference(context, &visibility, &emitters, &camera, context.choose(384, 2048))?;
+    let (reference, _) = reference_of(name, context, &visibility, &emitters, &camera)?;
     let stage = View {
         context,
         visibility: &visibility,

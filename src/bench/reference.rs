@@ -1,4 +1,5 @@
-//! References: images of the program's own unbiased path tracer in two independent halves, kept in a cache.
+//! References: converged images in two independent halves, by the program's own unbiased path tracer and kept in a cache; by quality
+//! `gather` where paths find too little light.
 
 use super::Context;
 use super::view::settings;
@@ -96,26 +97,21 @@ pub fn reference_of(
 ) -> Result<(Reference, String)> {
     // Behind two doorways paths find too little light to tell anything.
     if name == "corridor" {
-        let (pass1, spp) = (Pass1 { rays: 8192, element_size: Some(0.1), seed: 0 }, 1024);
-        let found = gathered(visibility, emitters, camera, (&pass1, spp))?;
-        return Ok((found, format!("by quality \"gather\", 2 x {spp} samples a pixel")));
+        let found = gathered(visibility, emitters, camera)?;
+        let by = format!("by quality \"gather\", 2 x {} samples a pixel", found.spp);
+        return Ok((found, by));
     }
     let spp = context.choose(384, 2048);
     let found = reference(context, visibility, emitters, camera, spp)?;
     Ok((found, format!("by path tracing, 2 x {spp} paths a pixel")))
 }
 
-/// The reference of a view where paths find too little light: quality `gather` of two independent solutions. Halves, as of
-/// [`reference()`]; what their elements have in common is in both, and unknown.
-fn gathered(
-    visibility: &Visibility,
-    emitters: &Emitters,
-    camera: &Camera,
-    (pass1, spp): (&Pass1, u32),
-) -> Result<Reference> {
+/// Quality `gather` of two independent solutions. What is wrong with their elements is in both, and not told by them.
+fn gathered(visibility: &Visibility, emitters: &Emitters, camera: &Camera) -> Result<Reference> {
+    let spp = 1024;
     let half = |seed: u32| -> Result<Image> {
         let (cameras, stages) = (std::slice::from_ref(camera), &mut Vec::new());
-        let pass1 = Pass1 { seed, ..*pass1 };
+        let pass1 = Pass1 { rays: 8192, element_size: Some(0.1), seed };
         let solution = pipeline::solve(visibility, emitters, cameras, &pass1, &|_| (), stages)?.solution;
         let settings = settings(Method::TwoPass(Quality::Gather), spp, seed);
         Ok(render(visibility, emitters, Some(&solution), camera, &settings, &|_| ()).0)

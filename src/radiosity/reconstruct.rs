@@ -14,8 +14,8 @@ const BORDER_CORRECTIONS: usize = 2;
 /// gradients at the borders of a patch.
 const CORRECTIONS: usize = 2;
 
-/// Times that they are corrected after that by what they still miss beyond noise: more for all would sharpen noise. Cornell box, 4,096 rays: 15 % less error
-/// of quality mesh; 256 rays: 3 %.
+/// Times that they are corrected after that by what they still miss beyond noise: more for all would sharpen noise. Cornell box,
+/// 4,096 rays: 15 % less error of quality mesh; 256 rays: 3 %.
 const FINE_CORRECTIONS: usize = 4;
 
 /// What a node must miss for a fine correction, squared, over the variance of the mean of its cells.
