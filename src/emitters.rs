@@ -12,7 +12,7 @@ use crate::color::{self, Rgb};
 use crate::geometry::Frame;
 use crate::mesh::side_index;
 use crate::sampling;
-use crate::scene::Scene;
+use crate::scene::{FaceFrame, Scene};
 use crate::visibility::Visibility;
 use glam::{DVec3, Vec3};
 use std::f64::consts::PI;
@@ -48,9 +48,7 @@ struct EmitterSide {
     normal: DVec3,
     /// Probability of choosing the side over its area [m^-2].
     density: f64,
-    /// Corner and edges of its face ([`Scene::face_frame`]), and whether that is a triangle.
-    frame: (DVec3, DVec3, DVec3),
-    triangle: bool,
+    frame: FaceFrame,
 }
 
 #[derive(Debug, Clone)]
@@ -122,7 +120,6 @@ impl Emitters {
                         normal,
                         density: face.area * index2,
                         frame: scene.face_frame(face),
-                        triangle: face.is_triangle(),
                     });
                 }
             }
@@ -193,10 +190,8 @@ impl Emitters {
     /// A point of an emitting side, uniform over its area; `u` in [0, 1)^2. Its density is that among all sides.
     pub fn on_side(&self, k: usize, u: [f64; 2]) -> EmitterSample {
         let side = &self.sides[k];
-        let (s, t) = if side.triangle { sampling::triangle(u[0], u[1]) } else { (u[0], u[1]) };
-        let (p0, e1, e2) = side.frame;
         EmitterSample {
-            point: p0 + s * e1 + t * e2,
+            point: side.frame.at(side.frame.uniform(u[0], u[1])),
             normal: side.normal,
             radiance: side.radiance,
             density: side.density,
@@ -246,7 +241,7 @@ impl Emitters {
             let front = a > 0.0;
             let face = mirror.faces.iter().copied().find(|&f| {
                 let face = &scene.faces[f as usize];
-                contains(scene, f, window)
+                scene.face_frame(face).contains(window)
                     && (scene.material(face).two_sided || front == (face.normal.dot(mirror.normal) > 0.0))
             });
             if let Some(face) = face {
@@ -276,13 +271,12 @@ impl Emitters {
 fn medium_index2(visibility: &Visibility, face: u32, normal: DVec3) -> f64 {
     let scene = visibility.scene();
     let frame = Frame::new(normal);
-    let (p0, e1, e2) = scene.face_frame(&scene.faces[face as usize]);
+    let place = scene.face_frame(&scene.faces[face as usize]);
     let mut inside = std::collections::BTreeMap::new();
     let mut votes = 0u32;
     for k in 0..MEDIUM_RAYS {
         let [u, v, a, b] = sampling::sobol(k, 0, 0);
-        let (u, v) = if scene.faces[face as usize].is_triangle() { sampling::triangle(u, v) } else { (u, v) };
-        let origin = visibility.leave(face, p0 + u * e1 + v * e2, normal);
+        let origin = visibility.leave(face, place.at(place.uniform(u, v)), normal);
         let direction = frame.to_scene(sampling::cosine_hemisphere(a, b)).as_vec3();
         let Some(hit) = visibility.closest(origin, direction, face) else { continue };
         let material = scene.material(&scene.faces[hit.face as usize]);
@@ -357,15 +351,4 @@ fn mirror_planes(scene: &Scene) -> (Vec<MirrorPlane>, Vec<u32>) {
         }
     }
     (planes, of)
-}
-
-/// Whether a face holds a point of its plane.
-fn contains(scene: &Scene, face: u32, p: DVec3) -> bool {
-    let face = &scene.faces[face as usize];
-    let (p0, e1, e2) = scene.face_frame(face);
-    let d = p - p0;
-    let n = e1.cross(e2);
-    let scale = n.length_squared().recip();
-    let (u, v) = (d.cross(e2).dot(n) * scale, e1.cross(d).dot(n) * scale);
-    u >= 0.0 && v >= 0.0 && if face.is_triangle() { u + v <= 1.0 } else { u <= 1.0 && v <= 1.0 }
 }

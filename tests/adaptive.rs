@@ -30,14 +30,16 @@ fn noise(k: u64) -> f64 {
 
 const SQUARE: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n";
 const TRIANGLE: &str = "v 0 0 0\nv 1 0 0\nv 0.3 0.8 0\nf 1 2 3\n";
-/// No parallelogram: two triangles.
-const TRAPEZIUM: &str = "v 0 0 0\nv 2 0 0\nv 1.5 1 0\nv 0 1 0\nf 1 2 3 4\n";
+/// Two triangles.
+const HALVES: &str = "v 0 0 0\nv 2 0 0\nv 1.5 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n";
+/// A quad that is no parallelogram, and one beside it.
+const TRAPEZIUM: &str = "v 0 0 0\nv 2 0 0\nv 1.5 1 0\nv 0 1 0\nv 2.5 0 0\nv 2.5 1 0\nf 1 2 3 4\nf 2 5 6 3\n";
 /// Parallelograms, a triangle beside one, and a triangle of twice the size beside that.
 const MIXED: &str = "v 0 0 0\nv 1 0 0\nv 2 0 0\nv 0 1 0\nv 1 1 0\nv 2 1 0\nv 3 0.4 0\nv 5 3 0\n\
                      f 1 2 5 4\nf 2 3 6 5\nf 3 7 6\nf 7 8 6\n";
 /// Long cells beside square ones.
 const STRIPS: &str = "v 0 0 0\nv 1 0 0\nv 1 0.1 0\nv 0 0.1 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\nf 4 3 5 6\n";
-const ALL: [&str; 5] = [SQUARE, TRIANGLE, TRAPEZIUM, MIXED, STRIPS];
+const ALL: [&str; 6] = [SQUARE, TRIANGLE, HALVES, TRAPEZIUM, MIXED, STRIPS];
 
 /// Cells divided at random, up to `rounds` times.
 struct Setup {
@@ -75,12 +77,8 @@ impl Setup {
     /// Every face whose closure holds a point of the plane, with its (u, v) there.
     fn faces_at(&self, point: DVec3) -> Vec<(u32, DVec2)> {
         let faces = 0..self.scene.faces.len() as u32;
-        let place = |face: u32| {
-            let (p0, e1, e2) = self.scene.face_frame(&self.scene.faces[face as usize]);
-            let n = e1.cross(e2);
-            let d = point - p0;
-            (face, DVec2::new(d.cross(e2).dot(n), e1.cross(d).dot(n)) / n.length_squared())
-        };
+        let place =
+            |face: u32| (face, self.scene.face_frame(&self.scene.faces[face as usize]).coordinates(point));
         let inside = |(face, uv): &(u32, DVec2)| {
             let far = if self.mesh.grid(*face).is_triangle() { uv.x + uv.y } else { uv.max_element() };
             uv.min_element() > -1e-9 && far < 1.0 + 1e-9
@@ -134,7 +132,7 @@ fn no_edge_of_any_cell_is_a_crack() {
             let (mut edges, mut largest, mut range) = (0, 0.0f64, (f64::MAX, f64::MIN));
             for face in 0..s.scene.faces.len() as u32 {
                 let grid = s.mesh.grid(face);
-                let (p0, e1, e2) = s.scene.face_frame(&s.scene.faces[face as usize]);
+                let frame = s.scene.face_frame(&s.scene.faces[face as usize]);
                 for cell in 0..grid.len() as u32 {
                     let (o, a, b) = grid.cell_frame(cell);
                     let mut around = vec![(o, a), (o, b)];
@@ -147,7 +145,7 @@ fn no_edge_of_any_cell_is_a_crack() {
                         edges += 1;
                         for k in 0..=32 {
                             let uv = start + f64::from(k) / 32.0 * edge;
-                            let point = p0 + uv.x * e1 + uv.y * e2;
+                            let point = frame.at(uv);
                             let mut shown = Vec::new();
                             for (other, at) in s.faces_at(point) {
                                 let across = STEP * edge.perp().normalize();

@@ -418,9 +418,7 @@ fn info_says_what_is_modelled_and_what_is_not() {
     for feature in ["environment", "specular", "glossy", "glass", "translucent"] {
         assert!(absent.contains(feature), "{feature}: {absent}");
     }
-    for part in
-        ["polygons      7", "0 triangles, 7 parallelograms", "cube, panel", "camera", "elements", "Embree"]
-    {
+    for part in ["polygons      7", "0 triangles, 7 quads", "cube, panel", "camera", "elements", "Embree"] {
         assert!(text.contains(part), "{part}: {text}");
     }
     assert_eq!(run.stderr, "");

@@ -323,7 +323,7 @@ fn order(context: &Context) -> Result<Subject> {
     let Some(floor) = scene.faces.iter().position(|f| scene.objects[f.object as usize] == "floor") else {
         return Err(Error::scene("floor", "is missing"));
     };
-    let (p0, e1, e2) = scene.face_frame(&scene.faces[floor]);
+    let frame = scene.face_frame(&scene.faces[floor]);
     let floor = floor as u32;
     let rays = context.choose(4096, 65536);
     for n in context.choose(vec![2u32, 4, 8, 16], vec![2, 4, 8, 16, 32]) {
@@ -339,7 +339,7 @@ fn order(context: &Context) -> Result<Subject> {
             for k in 0..POINTS * POINTS {
                 let at = |k: u32| (f64::from(k) + 0.5) / f64::from(POINTS);
                 let (u, v) = (at(k % POINTS), at(k / POINTS));
-                let p = p0 + u * e1 + v * e2 + scene.center;
+                let p = frame.at((u, v).into()) + scene.center;
                 let exact = 0.5 * point_to_square(p.x, p.y);
                 let (u, v) = (u as f32, v as f32);
                 let e = s.mesh.element(floor, true, u, v);

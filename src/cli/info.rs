@@ -37,15 +37,11 @@ pub fn run(args: &InfoArgs) -> Result<()> {
 }
 
 fn describe_scene(scene: &Scene) -> Vec<String> {
-    let parallelograms = scene.faces.len() - scene.triangle_count;
+    let quads = scene.faces.len() - scene.triangle_count;
     let mut lines = vec![
         scene.path.display().to_string(),
         format!("  polygons      {}", scene.polygon_count),
-        format!(
-            "  faces         {} ({} triangles, {parallelograms} parallelograms)",
-            scene.faces.len(),
-            scene.triangle_count
-        ),
+        format!("  faces         {} ({} triangles, {quads} quads)", scene.faces.len(), scene.triangle_count),
         format!("  objects       {}", scene.objects.join(", ")),
         format!("  centre        {} m, radius {:.6} m", scene.center, scene.radius),
     ];

@@ -60,8 +60,8 @@ impl Ray {
 
 /// Where a ray meets a face.
 ///
-/// The point is `p0 + u (p1 - p0) + v (p2 - p0)` on a triangle and, for a parallelogram,
-/// `p0 + u (p1 - p0) + v (p3 - p0)`.
+/// The point is `p0 + u (p1 - p0) + v (p2 - p0)` on a triangle and `p0 + u (p1 - p0) + v (p3 - p0)` on a quad, where u + v <= 1. The
+/// other half of a quad is counted from the opposite corner, as `1 - u` and `1 - v`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
     /// The face: triangles first, then quads, in the order the scene was given them.

@@ -213,8 +213,9 @@ impl Images<'_, '_> {
 
     /// Counts what meets an element of a mirror; false where it has none.
     fn count(&self, face: u32, front: bool, at: DVec3, weight: Rgb, sums: &mut BTreeMap<u32, Rgb>) -> bool {
-        let (u, v) = self.coordinates(face, at);
-        let j = self.mesh.element(face, front, u as f32, v as f32);
+        let scene = self.visibility.scene();
+        let uv = scene.face_frame(&scene.faces[face as usize]).coordinates(at).as_vec2();
+        let j = self.mesh.element(face, front, uv.x, uv.y);
         if j != NONE {
             *sums.entry(j).or_insert(Rgb::ZERO) += weight;
         }
@@ -226,7 +227,7 @@ impl Images<'_, '_> {
         let scene = self.visibility.scene();
         let begin = (entry - origin).dot(along) + NEAR * scene.radius;
         let crossings = self.windows.iter().filter_map(|w| {
-            let (p0, ..) = scene.face_frame(&scene.faces[w.face as usize]);
+            let p0 = scene.corner(&scene.faces[w.face as usize], 0);
             let slope = w.normal.dot(along);
             // A one-sided mirror is black on its back.
             if slope == 0.0 || (slope > 0.0 && !w.two_sided) {
@@ -234,23 +235,8 @@ impl Images<'_, '_> {
             }
             let t = w.normal.dot(p0 - origin) / slope;
             let at = origin + t * along;
-            (t > begin && self.holds(w.face, at)).then_some((t, w, at))
+            (t > begin && scene.face_frame(&scene.faces[w.face as usize]).contains(at)).then_some((t, w, at))
         });
         crossings.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, w, at)| (w, at))
-    }
-
-    /// Coordinates on a face of a point of its plane.
-    fn coordinates(&self, face: u32, p: DVec3) -> (f64, f64) {
-        let scene = self.visibility.scene();
-        let (p0, e1, e2) = scene.face_frame(&scene.faces[face as usize]);
-        let n = e1.cross(e2);
-        let d = p - p0;
-        (d.cross(e2).dot(n) / n.length_squared(), e1.cross(d).dot(n) / n.length_squared())
-    }
-
-    fn holds(&self, face: u32, p: DVec3) -> bool {
-        let (u, v) = self.coordinates(face, p);
-        let far = if self.visibility.scene().faces[face as usize].is_triangle() { u + v } else { u.max(v) };
-        u >= 0.0 && v >= 0.0 && far <= 1.0
     }
 }

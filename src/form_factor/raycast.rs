@@ -358,7 +358,7 @@ impl<'a, 's> Caster<'a, 's> {
             let active = if n - base >= step { whole } else { lanes.active(n - base) };
             scratch.packet.fill(&rays, active);
             self.visibility.closest16(&mut scratch.packet, true);
-            let hits = scratch.packet.hits();
+            let hits = self.visibility.hits(&scratch.packet);
             let landings = self.targets.landings(simd, &hits, &rays);
             let mut other = [false; LANES];
             for l in 0..LANES {

@@ -15,7 +15,7 @@ use crate::geometry::Frame;
 use crate::mesh::Mesh;
 use crate::sampling::{Scramble, ScrambledPoints, SobolTable, concentric_disc_rough, seed_of, unit};
 use crate::visibility::Visibility;
-use glam::{DVec3, Vec3};
+use glam::{DVec2, DVec3, Vec3};
 use std::ops::Range;
 
 /// Cosine between the normals of a group's first element and of any other, at least.
@@ -61,7 +61,18 @@ pub(super) struct Lanes {
     y: [[f32; LANES]; 3],
     z: [[f32; LANES]; 3],
     triangle: [bool; LANES],
+    /// Of elements that are no parallelograms.
+    twist: Option<Twist>,
     shift: [[u32; LANES]; 4],
+}
+
+/// What elements of quads that are no parallelograms need besides.
+#[derive(Clone, Copy, Default)]
+struct Twist {
+    /// From where the third corner of a parallelogram would be to where it is.
+    c: [[f32; LANES]; 3],
+    /// Density of area at the origin, and how it changes along both edges ([`crate::scene::FaceFrame::densities`]).
+    density: [[f32; LANES]; 3],
 }
 
 impl Lanes {
@@ -78,17 +89,32 @@ impl Lanes {
             y: none,
             z: none,
             triangle: [false; LANES],
+            twist: None,
             shift: [[0; LANES]; 4],
         };
         for (k, element) in elements.enumerate() {
             let (face, _, cell) = mesh.place(element);
-            let (p0, e1, e2) = scene.face_frame(&scene.faces[face as usize]);
+            let place = scene.face_frame(&scene.faces[face as usize]);
             let grid = mesh.grid(face);
-            let (o, a, b) = visibility.inside_cell(face, grid.cell_frame(cell));
+            let inside = visibility.inside_cell(face, grid.cell_frame(cell));
+            let (o, a, b) = inside;
             let normal = mesh.normal(scene, element);
             let frame = Frame::new(normal);
-            let edge = |d: glam::DVec2| (d.x * e1 + d.y * e2).as_vec3();
-            let origin = visibility.leave(face, p0 + o.x * e1 + o.y * e2, normal);
+            let at = place.at(o);
+            let origin = visibility.leave(face, at, normal);
+            let edge = |d: DVec2| {
+                (d.x * place.e1 + d.y * place.e2 + (o.x * d.y + o.y * d.x) * place.twist).as_vec3()
+            };
+            if place.is_twisted() {
+                let twist = lanes.twist.get_or_insert_with(|| Twist {
+                    density: [[1.0; LANES], [0.0; LANES], [0.0; LANES]],
+                    ..Twist::default()
+                });
+                let (c, density) = ((a.x * b.y * place.twist).as_vec3(), place.densities(inside));
+                for d in 0..3 {
+                    (twist.c[d][k], twist.density[d][k]) = (c[d], density[d] as f32);
+                }
+            }
             for c in 0..3 {
                 lanes.origin[c][k] = origin[c];
                 lanes.a[c][k] = edge(a)[c];
@@ -112,6 +138,9 @@ impl Lanes {
                 v.iter_mut().for_each(|c| c[l] = c[l % width]);
             }
             self.triangle[l] = self.triangle[l % width];
+            for t in self.twist.iter_mut().flat_map(|t| t.c.iter_mut().chain(&mut t.density)) {
+                t[l] = t[l % width];
+            }
             self.shift.iter_mut().for_each(|c| c[l] = c[l % width]);
         }
     }
@@ -173,6 +202,14 @@ impl Lanes {
                 (s[l], t[l]) = if self.triangle[l] { folded } else { (u, v) };
             }
         }
+        if let Some(Twist { density: [d, along_s, along_t], .. }) = &self.twist {
+            for l in 0..LANES {
+                // [`crate::scene::FaceFrame::even`] in single precision.
+                let middle = d[l] + 0.5 * along_t[l];
+                s[l] = linear(middle, along_s[l], s[l]);
+                t[l] = linear(d[l] + s[l] * along_s[l], along_t[l], t[l]);
+            }
+        }
         let (mut dx, mut dy, mut dz) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
         for l in 0..LANES {
             (dx[l], dy[l]) = concentric_disc_rough(p[2][l], p[3][l]);
@@ -184,8 +221,20 @@ impl Lanes {
                 rays.direction[c][l] = dx[l] * self.x[c][l] + dy[l] * self.y[c][l] + dz[l] * self.z[c][l];
             }
         }
+        if let Some(twist) = &self.twist {
+            for (origin, c) in rays.origin.iter_mut().zip(&twist.c) {
+                (0..LANES).for_each(|l| origin[l] += s[l] * t[l] * c[l]);
+            }
+        }
         rays
     }
+}
+
+/// x in [0, 1] for `r` uniform there, with a density that begins with `a` and changes by `b`.
+#[inline(always)]
+fn linear(a: f32, b: f32, r: f32) -> f32 {
+    let sum = a + a + b;
+    r * sum / (a + (a * a + r * b * sum).sqrt())
 }
 
 /// Lane `k` of 16 rays.

@@ -101,7 +101,7 @@ impl Grid {
         self.leaves.as_ref().map_or(0, |l| l.cells[cell as usize].level)
     }
 
-    /// Share of the face that a cell has.
+    /// Share of the face that a cell has, in (u, v).
     pub fn share(&self, cell: u32) -> f64 {
         let whole = self.lattice.len() as f64;
         self.leaves.as_ref().map_or(1.0, |l| (1u64 << (2 * l.cells[cell as usize].shift)) as f64) / whole
@@ -130,7 +130,7 @@ impl Grid {
         Lattice { nu: self.lattice.nu >> shift, nv: self.lattice.nv >> shift, ..self.lattice }
     }
 
-    /// (u, v) of a cell's point for (s, t) uniform in the unit square; uniform in area.
+    /// (u, v) of a cell's point for (s, t) uniform in the unit square; uniform in (u, v).
     #[inline]
     pub fn cell_point(&self, frame: &CellFrame, s: f64, t: f64) -> DVec2 {
         self.lattice.cell_point(frame, s, t)

@@ -2,8 +2,8 @@
 
 use super::MOST_ELEMENTS;
 use crate::sampling;
-use crate::scene::{Face, Scene};
-use glam::DVec2;
+use crate::scene::{Face, FaceFrame, Scene};
+use glam::{DVec2, DVec3};
 
 /// Column, row, and whether a triangle's cell is an inverted one.
 pub(super) type CellAt = (u32, u32, bool);
@@ -40,13 +40,14 @@ fn floor(x: f32) -> i32 {
 impl Lattice {
     /// The lattice whose cell edges are at most `size` long.
     pub(super) fn of(scene: &Scene, face: &Face, size: f64) -> Lattice {
-        let (_, e1, e2) = scene.face_frame(face);
+        let FaceFrame { e1, e2, twist, .. } = scene.face_frame(face);
         let cells = |l: f64| (l / size - 1e-9).ceil().clamp(1.0, f64::from(MOST_ELEMENTS)) as u32;
+        let longer = |edge: DVec3| edge.length().max((edge + twist).length());
         if face.is_triangle() {
             let n = cells(e1.length().max(e2.length()).max((e2 - e1).length()));
             Lattice { nu: n, nv: n, triangle: true }
         } else {
-            Lattice { nu: cells(e1.length()), nv: cells(e2.length()), triangle: false }
+            Lattice { nu: cells(longer(e1)), nv: cells(longer(e2)), triangle: false }
         }
     }
 
@@ -145,14 +146,14 @@ impl Lattice {
         }
     }
 
-    /// (u, v) of a cell's point for (s, t) uniform in the unit square; uniform in area.
+    /// (u, v) of a cell's point for (s, t) uniform in the unit square; uniform in (u, v).
     #[inline]
     pub fn cell_point(&self, frame: &CellFrame, s: f64, t: f64) -> DVec2 {
         let (s, t) = if self.triangle { sampling::triangle(s, t) } else { (s, t) };
         frame.0 + s * frame.1 + t * frame.2
     }
 
-    /// Local node indices of a cell's corners: 4 for a parallelogram (counter-clockwise), 3 and a
+    /// Local node indices of a cell's corners: 4 for a quad (counter-clockwise), 3 and a
     /// repeat for a triangle.
     pub fn cell_nodes(&self, cell: u32) -> [u32; 4] {
         if !self.triangle {

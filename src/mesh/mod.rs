@@ -1,7 +1,7 @@
 //! Faces divided into elements, and (face, u, v) to element by arithmetic.
 //!
 //! Embree holds faces only; an element is a cell of a regular grid on one side of a face. A
-//! parallelogram has `nu x nv` cells; a triangle has `n * n` congruent triangles, row by row, an
+//! quad has `nu x nv` cells; a triangle has `n * n` congruent triangles, row by row, an
 //! upright and an inverted one in turn.
 
 mod division;
@@ -190,7 +190,12 @@ impl Mesh {
                     )));
                 }
                 side_of.resize(total as usize, side as u32);
-                if grid.is_adaptive() {
+                let frame = scene.face_frame(face);
+                if frame.is_twisted() {
+                    // Between lines of equal u and v, the mean is that in the middle.
+                    let share = |cell: u32| grid.share(cell) * frame.density(grid.centroid(cell));
+                    area.extend((0..grid.len() as u32).map(|cell| face.area * share(cell)));
+                } else if grid.is_adaptive() {
                     area.extend((0..grid.len() as u32).map(|cell| face.area * grid.share(cell)));
                 } else {
                     area.resize(total as usize, face.area / grid.len() as f64);
@@ -279,9 +284,7 @@ impl Mesh {
     pub fn centroid(&self, scene: &Scene, element: u32) -> DVec3 {
         let (face, _, cell) = self.place(element);
         let grid = self.grid(face);
-        let uv = grid.centroid(cell);
-        let (p0, e1, e2) = scene.face_frame(&scene.faces[face as usize]);
-        p0 + uv.x * e1 + uv.y * e2
+        scene.face_frame(&scene.faces[face as usize]).at(grid.centroid(cell))
     }
 
     /// Unit normal of an element, towards the side that it is on.

@@ -50,14 +50,14 @@ impl Nodes {
         let mut seen: FxHashMap<Key, u32> = FxHashMap::default();
         let (mut first, mut ids) = (vec![NONE; 2 * scene.faces.len()], Vec::new());
         for (k, face) in scene.faces.iter().enumerate() {
-            let (p0, e1, e2) = scene.face_frame(face);
+            let frame = scene.face_frame(face);
             for front in [true, false] {
                 if mesh.first(k as u32, front) == NONE {
                     continue;
                 }
                 first[side_index(k as u32, front)] = ids.len() as u32;
                 for uv in mesh.grid(k as u32).node_points() {
-                    let key = (patches[k], front, quantise(p0 + uv.x * e1 + uv.y * e2, quantum));
+                    let key = (patches[k], front, quantise(frame.at(uv), quantum));
                     let next = seen.len() as u32;
                     ids.push(*seen.entry(key).or_insert(next));
                 }
@@ -81,7 +81,7 @@ impl Nodes {
         (patch, quantum): (u32, f64),
         seen: &FxHashMap<Key, u32>,
     ) {
-        let (p0, e1, e2) = scene.face_frame(&scene.faces[face as usize]);
+        let frame = scene.face_frame(&scene.faces[face as usize]);
         let grid = mesh.grid(face);
         let points = grid.node_points();
         let edges = grid.open_edges();
@@ -92,7 +92,7 @@ impl Nodes {
                 let mut pending = vec![(whole, 1)];
                 while let Some(([a, b], depth)) = pending.pop() {
                     let uv = 0.5 * (a.1 + b.1);
-                    let key = (patch, front, quantise(p0 + uv.x * e1 + uv.y * e2, quantum));
+                    let key = (patch, front, quantise(frame.at(uv), quantum));
                     let Some(&node) = seen.get(&key) else { continue };
                     self.hanging.push(Hanging { node, ends: [a.0, b.0] });
                     if depth > 1 {
@@ -182,7 +182,7 @@ fn uneven(mesh: &Mesh, joints: &[Joint]) -> Vec<u32> {
 /// smaller than before: only then can a hanging node follow a coarser neighbour exactly.
 pub(super) fn nest(scene: &Scene, grids: &mut [Lattice]) {
     let (_, joints) = patches(scene);
-    // Opposite edges of a parallelogram, and all edges of a triangle, have equal numbers of cells.
+    // Opposite edges of a quad, and all edges of a triangle, have equal numbers of cells.
     let direction = |grids: &[Lattice], (face, edge): (u32, usize)| {
         2 * face + u32::from(!grids[face as usize].triangle && edge % 2 == 1)
     };

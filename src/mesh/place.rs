@@ -2,7 +2,7 @@
 
 use super::lattice::CellFrame;
 use super::{Grid, Mesh};
-use crate::scene::Scene;
+use crate::scene::{FaceFrame, Scene};
 use glam::{DVec2, DVec3};
 
 /// An element in space.
@@ -13,8 +13,7 @@ pub struct Place<'m> {
     pub normal: DVec3,
     grid: &'m Grid,
     cell: CellFrame,
-    /// Corner and edges of the face ([`Scene::face_frame`]) \[m\].
-    frame: (DVec3, DVec3, DVec3),
+    frame: FaceFrame,
 }
 
 impl Mesh {
@@ -36,12 +35,13 @@ impl Place<'_> {
     /// (u, v) of the face for (s, t) uniform in the unit square; uniform in area.
     #[inline]
     pub fn uv(&self, s: f64, t: f64) -> DVec2 {
-        self.grid.cell_point(&self.cell, s, t)
+        let p = self.frame.even(self.cell, s, t);
+        self.grid.cell_point(&self.cell, p.x, p.y)
     }
 
     /// The point at (u, v) of the face \[m, relative to the scene's centre\].
     #[inline]
     pub fn at(&self, uv: DVec2) -> DVec3 {
-        self.frame.0 + uv.x * self.frame.1 + uv.y * self.frame.2
+        self.frame.at(uv)
     }
 }

@@ -1,7 +1,7 @@
 //! From one value an element to a value at every point.
 //!
 //! Values are brought to the nodes that cells of one patch share, and interpolated between them:
-//! bilinear on parallelograms, linear on triangles. So the result never mixes patches,
+//! bilinear on quads, linear on triangles. So the result never mixes patches,
 //! and is continuous over each as far as its nodes are shared (see [`Nodes`]).
 
 use crate::color::{self, Rgb};
@@ -56,7 +56,7 @@ impl Limits {
         noise: Option<&dyn Fn(usize) -> f64>,
     ) -> Limits {
         let cells = || corners.iter().enumerate().filter(|(e, _)| open[*e] > 0.0);
-        // What cells cover of the circle about each node: as inside of a face, where four parallelograms or six triangles meet.
+        // What cells cover of the circle about each node: as inside of a face, where four quads or six triangles meet.
         let mut around = vec![0.0; nodes];
         let (mut low, mut high) = (vec![Rgb::INFINITY; nodes], vec![Rgb::ZERO; nodes]);
         for (e, (ids, count)) in cells() {

@@ -162,7 +162,7 @@ fn means(group: &[usize], (area, covered): (&[f64], &[f64]), of: &[Rgb]) -> Vec<
     sums.iter().zip(covered).map(mean).collect()
 }
 
-/// Mean over an element of the square of what `f` gives by side and place, linear on triangles and bilinear on parallelograms.
+/// Mean over an element of the square of what `f` gives by side and place, linear on triangles and bilinear on quads.
 fn mean_square(mesh: &Mesh, element: u32, f: impl Fn((u32, bool), f32, f32) -> Rgb) -> Rgb {
     let (face, front, cell) = mesh.place(element);
     let grid = mesh.grid(face);

@@ -399,6 +399,7 @@ mod tests {
             polygon,
             normal: DVec3::Z,
             area: (x1 - x0) * (y1 - y0),
+            skew: DVec2::ZERO,
         }
     }
 

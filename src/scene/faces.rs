@@ -1,9 +1,9 @@
 //! From polygons in file units to the faces of a scene.
 
 use super::obj::{ObjFile, Polygon};
-use super::{Face, Material, coplanar, polygon};
+use super::{Face, Material, coplanar, frame, polygon};
 use crate::error::{Error, Result};
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use rustc_hash::{FxHashMap, FxHashSet};
 
 /// Shading normals within this of the geometric normal say nothing new.
@@ -215,6 +215,7 @@ impl Builder {
             polygon: self.polygon_count,
             normal: DVec3::ZERO,
             area: 0.0,
+            skew: DVec2::ZERO,
         };
         measure(&mut face, &self.points);
         if let Some(normals) = normals {
@@ -336,9 +337,11 @@ impl Compacted {
     }
 }
 
-/// Sets area and normal of a face from its vertices.
+/// Sets area, normal and skew of a face from its vertices.
 fn measure(face: &mut Face, points: &[DVec3]) {
     let corners = face.vertices.map(|v| points[v as usize]);
+    let even = face.is_triangle() || polygon::is_parallelogram(corners);
+    face.skew = if even { DVec2::ZERO } else { frame::skew(corners) };
     let corners = if face.is_triangle() { &corners[..3] } else { &corners[..] };
     let area = polygon::area_vector(corners);
     face.area = area.length();

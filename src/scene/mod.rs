@@ -9,6 +9,7 @@ mod coplanar;
 mod document;
 mod faces;
 mod features;
+mod frame;
 mod load;
 mod material;
 mod mtl;
@@ -19,12 +20,13 @@ mod polygon;
 
 pub use camera::{Camera, CameraFrame, within_size};
 pub use features::Features;
+pub use frame::{FaceFrame, from_affine, from_halves};
 pub use load::load;
 pub use material::Material;
 pub use path::CameraPath;
 
 use crate::color::Rgb;
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use std::path::PathBuf;
 
 /// A validated scene.
@@ -41,7 +43,7 @@ pub struct Scene {
     pub vertices: Vec<DVec3>,
     /// Unit shading normals of the faces that have them.
     pub normals: Vec<DVec3>,
-    /// Faces: `triangle_count` triangles first, then parallelograms.
+    /// Faces: `triangle_count` triangles first, then quads.
     pub faces: Vec<Face>,
     /// How many of `faces` are triangles.
     pub triangle_count: usize,
@@ -67,10 +69,10 @@ pub struct Scene {
     pub warnings: Vec<String>,
 }
 
-/// A face that Embree holds: a triangle, or a planar parallelogram.
+/// A face that Embree holds: a triangle, or a planar convex quad.
 ///
-/// Point at (u, v): `p0 + u (p1 - p0) + v (p3 - p0)` for a parallelogram (0 <= u, v <= 1) and
-/// `p0 + u (p1 - p0) + v (p2 - p0)` for a triangle (u, v >= 0, u + v <= 1), as Embree counts them.
+/// Point at (u, v): bilinear between the corners of a quad (0 <= u, v <= 1; see [`FaceFrame`]) and
+/// `p0 + u (p1 - p0) + v (p2 - p0)` for a triangle (u, v >= 0, u + v <= 1).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Face {
     /// Indices into [`Scene::vertices`], counter-clockwise seen from the front; a triangle repeats
@@ -88,10 +90,13 @@ pub struct Face {
     pub normal: DVec3,
     /// Area [m^2].
     pub area: f64,
+    /// How far the third corner of a quad is from where it would be in a parallelogram, in multiples of the edges from the first
+    /// one to the second and to the last; zero of parallelograms and triangles.
+    pub skew: DVec2,
 }
 
 impl Face {
-    /// Whether the face is a triangle; a parallelogram otherwise.
+    /// Whether the face is a triangle; a quad otherwise.
     pub fn is_triangle(&self) -> bool {
         self.vertices[2] == self.vertices[3]
     }
@@ -121,12 +126,6 @@ impl Scene {
     /// Corner `k` (0..4) of a face [m, relative to the centre].
     pub fn corner(&self, face: &Face, k: usize) -> DVec3 {
         self.vertices[face.vertices[k] as usize]
-    }
-
-    /// Origin and the two edge vectors that (u, v) run along.
-    pub fn face_frame(&self, face: &Face) -> (DVec3, DVec3, DVec3) {
-        let p0 = self.corner(face, 0);
-        (p0, self.corner(face, 1) - p0, self.corner(face, 3) - p0)
     }
 
     /// The material of a face.

@@ -1,10 +1,12 @@
-//! Splits a polygon into what Embree holds: triangles and planar parallelograms.
+//! Splits a polygon into what Embree holds: triangles and planar convex quads.
 
 use glam::{DVec2, DVec3};
 
-/// A quad counts as a parallelogram when its fourth corner is within this share of its size of
-/// where the other three put it.
-const PARALLELOGRAM_TOLERANCE: f64 = 1e-7;
+/// A quad counts as planar, and as a parallelogram, when its fourth corner is within this share of its size of where the other
+/// three put it.
+const QUAD_TOLERANCE: f64 = 1e-7;
+/// A quad is cut into triangles where the cells of its grid would differ in area by more than this.
+const UNEVEN: f64 = 4.0;
 /// A polygon counts as planar when its corners are within this share of its size of its plane.
 const PLANAR_TOLERANCE: f64 = 1e-3;
 /// Less than this share of the squared size is no area: rounding of coordinates makes as much.
@@ -46,7 +48,7 @@ pub(super) fn split(points: &[DVec3]) -> Split {
     let middle = points.iter().sum::<DVec3>() / points.len() as f64;
     let bent = points.iter().any(|&p| (p - middle).dot(normal).abs() > PLANAR_TOLERANCE * size);
     if let &[a, b, c, d] = points {
-        if (a - b + c - d).length() <= PARALLELOGRAM_TOLERANCE * size {
+        if stays_whole([a, b, c, d], size) {
             return Split { faces: vec![[0, 1, 2, 3]], ..Split::default() };
         }
         for faces in [[[0, 1, 2, 2], [0, 2, 3, 3]], [[1, 2, 3, 3], [1, 3, 0, 0]]] {
@@ -60,6 +62,28 @@ pub(super) fn split(points: &[DVec3]) -> Split {
         }
     }
     clip_ears(points, normal, size, bent)
+}
+
+/// Whether a quad is planar and convex, and not so uneven that its grid would have cells of very different areas.
+fn stays_whole(corners: [DVec3; 4], size: f64) -> bool {
+    let [a, b, _, d] = corners;
+    if is_parallelogram(corners) {
+        return true;
+    }
+    let normal = (b - a).cross(d - a).normalize_or_zero();
+    let off = (corners[2] - a).dot(normal).abs();
+    // Area over that at the first corner, at all of them: in between it is bilinear.
+    let skew = super::frame::skew(corners);
+    let densities = [1.0, 1.0 + skew.x, 1.0 + skew.y, 1.0 + skew.x + skew.y];
+    let least = densities.into_iter().fold(f64::INFINITY, f64::min);
+    let most = densities.into_iter().fold(0.0, f64::max);
+    off <= QUAD_TOLERANCE * size && least > 0.0 && most <= UNEVEN * least
+}
+
+/// Whether a quad is a parallelogram but for rounding.
+pub(super) fn is_parallelogram(corners: [DVec3; 4]) -> bool {
+    let [a, b, c, d] = corners;
+    (a - b + c - d).length() <= QUAD_TOLERANCE * extent(&corners)
 }
 
 /// Ear clipping on the polygon's own plane.
@@ -123,14 +147,21 @@ mod tests {
     }
 
     #[test]
-    fn only_parallelograms_stay_whole() {
+    fn planar_convex_quads_stay_whole() {
         let split_of = |p: [[f64; 2]; 4]| split(&flat(&p)).faces;
         assert_eq!(split_of([[0.0, 0.0], [2.0, 0.0], [3.0, 1.0], [1.0, 1.0]]), [[0, 1, 2, 3]]);
-        let trapezium = [[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [1.0, 1.0]];
-        assert_eq!(split_of(trapezium), [[0, 1, 2, 2], [0, 2, 3, 3]]);
-        // 1e-8 of the size is rounding, 1e-6 is not.
-        assert_eq!(split_of([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0 + 1e-8], [0.0, 1.0]]).len(), 1);
-        assert_eq!(split_of([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0 + 1e-6], [0.0, 1.0]]).len(), 2);
+        assert_eq!(split_of([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [1.0, 1.0]]), [[0, 1, 2, 3]]);
+        // At its upper edge, cells would be a fifth as large as at the lower one.
+        let uneven = [[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [1.6, 1.0]];
+        assert_eq!(split_of(uneven), [[0, 1, 2, 2], [0, 2, 3, 3]]);
+        // Three corners in a row leave no quad between lines of equal (u, v).
+        assert_eq!(split_of([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [1.0, 1.0]]).len(), 2);
+        // 1e-8 of the size off the plane is rounding, 1e-6 is not.
+        for (off, faces) in [(1e-8, 1), (1e-6, 2)] {
+            let mut quad = flat(&[[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [1.0, 1.0]]);
+            quad[2].z += off;
+            assert_eq!(split(&quad).faces.len(), faces);
+        }
     }
 
     #[test]

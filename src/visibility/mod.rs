@@ -12,9 +12,9 @@ pub use reach::reachable_sides;
 pub use sides::{FaceSides, SideTable};
 
 use crate::Result;
-use crate::embree::{CommittedScene, Device, Ray, RayPacket, ShadowPacket};
+use crate::embree::{CommittedScene, Device, Hits, Ray, RayPacket, ShadowPacket};
 use crate::mesh::Place;
-use crate::scene::{Face, Scene};
+use crate::scene::{Face, Scene, from_halves};
 use glam::{DVec2, DVec3, Vec3};
 use offset::Offset;
 
@@ -55,6 +55,8 @@ pub struct Visibility<'s> {
     scene: &'s Scene,
     embree: CommittedScene,
     normals: Vec<Vec3>,
+    /// Of every face, where some are no parallelograms; empty otherwise.
+    skews: Vec<[f32; 2]>,
     offsets: Vec<Offset>,
     /// Every edge is shared: from within nothing can be missed.
     closed: bool,
@@ -70,9 +72,12 @@ impl<'s> Visibility<'s> {
         let quads: Vec<[u32; 4]> = quads.iter().map(|f| f.vertices).collect();
         let embree = CommittedScene::new(device, &vertices, &triangles, &quads)?;
         let normals = scene.faces.iter().map(|f| f.normal.as_vec3()).collect();
+        let skew = |f: &Face| f.skew.as_vec2().to_array();
+        let twisted = scene.faces.iter().any(|f| f.skew != DVec2::ZERO);
+        let skews = if twisted { scene.faces.iter().map(skew).collect() } else { Vec::new() };
         let (mut offsets, closed) = offset::offsets(scene);
         contact::widen(scene, &embree, &mut offsets);
-        Ok(Visibility { scene, embree, normals, offsets, closed })
+        Ok(Visibility { scene, embree, normals, skews, offsets, closed })
     }
 
     /// What single precision does not resolve in this scene, by name of the object.
@@ -181,13 +186,30 @@ impl<'s> Visibility<'s> {
     #[inline]
     fn side(&self, hit: crate::embree::Hit, direction: Vec3) -> SurfaceHit {
         let front = self.normals[hit.face as usize].dot(direction) < 0.0;
-        SurfaceHit { face: hit.face, u: hit.u, v: hit.v, front }
+        let (u, v) = match self.skews.get(hit.face as usize) {
+            Some(skew) => from_halves(*skew, hit.u, hit.v),
+            None => (hit.u, hit.v),
+        };
+        SurfaceHit { face: hit.face, u, v, front }
     }
 
     /// Traces a packet.
     #[inline]
     pub fn closest16(&self, packet: &mut RayPacket, coherent: bool) {
         self.embree.intersect16(packet, coherent);
+    }
+
+    /// What the rays of a traced packet met.
+    #[inline(always)]
+    pub fn hits(&self, packet: &RayPacket) -> Hits {
+        let mut hits = packet.hits();
+        if let Some(last) = self.skews.len().checked_sub(1) {
+            let skews = hits.face.map(|face| self.skews[(face as usize).min(last)]);
+            for (l, skew) in skews.into_iter().enumerate() {
+                (hits.u[l], hits.v[l]) = from_halves(skew, hits.u[l], hits.v[l]);
+            }
+        }
+        hits
     }
 
     /// The ray from `origin` to `target`, a point of a face seen from the side that `normal` points to:
@@ -217,7 +239,6 @@ impl<'s> Visibility<'s> {
     #[inline]
     pub fn point(&self, hit: &SurfaceHit) -> SurfacePoint {
         let face = &self.scene.faces[hit.face as usize];
-        let (p0, e1, e2) = self.scene.face_frame(face);
         let (u, v) = (f64::from(hit.u), f64::from(hit.v));
         let sign = if hit.front { 1.0 } else { -1.0 };
         let geometric = sign * face.normal;
@@ -228,10 +249,7 @@ impl<'s> Visibility<'s> {
             u: hit.u,
             v: hit.v,
             front: hit.front,
-            point: {
-                let (u, v) = self.inside(hit.face, u, v);
-                p0 + u * e1 + v * e2
-            },
+            point: self.scene.face_frame(face).at(self.inside(hit.face, u, v).into()),
             geometric,
             shading,
         }

@@ -25,7 +25,7 @@
 //! **What is left.** A face of which the margins would take more than a quarter is too small for
 //! single precision where it lies; the scene's warnings name its object.
 
-use crate::scene::{Face, Scene};
+use crate::scene::Scene;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
@@ -49,7 +49,7 @@ pub(super) struct Offset {
 
 /// The offsets of every face, and whether every edge belongs to two faces or more.
 pub(super) fn offsets(scene: &Scene) -> (Vec<Offset>, bool) {
-    let mut offsets: Vec<Offset> = scene.faces.iter().map(|f| own_offset(scene, f)).collect();
+    let mut offsets: Vec<Offset> = (0..scene.faces.len() as u32).map(|k| own_offset(scene, k)).collect();
     let mut closed = true;
     for edges in shared_edges(scene).chunk_by(|a, b| a.0 == b.0) {
         closed &= edges.len() > 1;
@@ -71,17 +71,16 @@ pub(super) fn offsets(scene: &Scene) -> (Vec<Offset>, bool) {
 }
 
 /// Lift of a face, and the margins of its edges as if they were free.
-fn own_offset(scene: &Scene, face: &Face) -> Offset {
+fn own_offset(scene: &Scene, k: u32) -> Offset {
+    let face = &scene.faces[k as usize];
     let corners = [0, 1, 2, 3].map(|k| scene.corner(face, k));
     let most = corners.iter().fold(DVec3::ZERO, |m, c| m.max(c.abs()));
     let longest = (0..4).map(|k| corners[k].distance(corners[(k + 1) % 4])).fold(0.0, f64::max);
     let lift = 4.0 * UNIT * (face.normal.abs().dot(most) + longest);
     let triangle = face.is_triangle();
     let mut margin = [0.0; 4];
-    for (k, m) in margin.iter_mut().enumerate().take(if triangle { 3 } else { 4 }) {
-        let (a, b) = (corners[k], corners[(k + 1) % if triangle { 3 } else { 4 }]);
-        let height = face.area * if triangle { 2.0 } else { 1.0 } / a.distance(b).max(f64::MIN_POSITIVE);
-        *m = (lift / height).min(WIDEST) as f32;
+    for (edge, m) in margin.iter_mut().enumerate().take(if triangle { 3 } else { 4 }) {
+        *m = (lift / height(scene, k, edge)).min(WIDEST) as f32;
     }
     Offset { lift, margin, triangle }
 }
@@ -117,10 +116,15 @@ pub(super) fn inward(scene: &Scene, face: u32, edge: usize) -> DVec3 {
     scene.faces[face as usize].normal.cross(b - a).normalize_or_zero()
 }
 
-/// Height of a face over one of its edges.
+/// Height of a face over one of its edges; the lesser of both other corners' where they differ.
 pub(super) fn height(scene: &Scene, face: u32, edge: usize) -> f64 {
     let (a, b) = edge_ends(scene, face, edge);
     let f = &scene.faces[face as usize];
+    if f.skew != DVec2::ZERO {
+        let inward = inward(scene, face, edge);
+        let over = |k: usize| (scene.corner(f, (edge + k) % 4) - a).dot(inward);
+        return over(2).min(over(3)).max(f64::MIN_POSITIVE);
+    }
     f.area * if f.is_triangle() { 2.0 } else { 1.0 } / a.distance(b).max(f64::MIN_POSITIVE)
 }
 

@@ -17,7 +17,7 @@ use super::{SurfaceHit, Visibility};
 use crate::bsdf::Specular;
 use crate::geometry::Frame;
 use crate::mesh::{Sides, side_index};
-use crate::sampling::{self, cosine_hemisphere, seed_of, sobol};
+use crate::sampling::{cosine_hemisphere, seed_of, sobol};
 use crate::scene::CameraFrame;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -229,7 +229,7 @@ fn connects(
     let scene = visibility.scene();
     let face = &scene.faces[side as usize / 2];
     let normal = face.normal * if side % 2 == 0 { 1.0 } else { -1.0 };
-    let (p0, e1, e2) = scene.face_frame(face);
+    let frame = scene.face_frame(face);
     let stone_is_free = |hit: &SurfaceHit, choice: f64| {
         let stone = visibility.point(hit);
         let stone = Place { face: stone.face, point: stone.point, normal: stone.geometric };
@@ -240,14 +240,14 @@ fn connects(
     };
     // From the back of a room's wall, say, no segment leads anywhere: looking at all witnesses tells, where that is less work.
     let eps = PLANE * scene.radius;
-    let ahead = |w: &Place| (w.point - p0).dot(normal) > eps;
+    let ahead = |w: &Place| (w.point - frame.origin).dot(normal) > eps;
     let none_ahead = work.segments as usize > witnesses.len() / CHEAPER && !witnesses.iter().any(ahead);
     let segments = if none_ahead { 0 } else { work.segments };
     let found = (0..segments.max(work.rays)).find_map(|k| {
         let p = sobol(k, 0, seed_of(&[seed, side, 0xc0]));
-        let (u, v) = if face.is_triangle() { sampling::triangle(p[0], p[1]) } else { (p[0], p[1]) };
-        let (u, v) = visibility.inside(side / 2, u, v);
-        let here = Place { face: side / 2, point: p0 + u * e1 + v * e2, normal };
+        let uv = frame.uniform(p[0], p[1]);
+        let uv = visibility.inside(side / 2, uv.x, uv.y);
+        let here = Place { face: side / 2, point: frame.at(uv.into()), normal };
         if k >= work.rays {
             return free(visibility, &here, witnesses, p[2]).then_some(here);
         }
@@ -268,9 +268,9 @@ fn connects(
     let mut proofs = 0;
     (0..work.aimed).find_map(|k| {
         let p = sobol(k, 0, seed_of(&[seed, side, 0xc2]));
-        let (u, v) = if face.is_triangle() { sampling::triangle(p[0], p[1]) } else { (p[0], p[1]) };
-        let (u, v) = visibility.inside(side / 2, u, v);
-        let here = Place { face: side / 2, point: p0 + u * e1 + v * e2, normal };
+        let uv = frame.uniform(p[0], p[1]);
+        let uv = visibility.inside(side / 2, uv.x, uv.y);
+        let here = Place { face: side / 2, point: frame.at(uv.into()), normal };
         let target = beside_an_edge(visibility, sobol(k, 1, seed_of(&[seed, side, 0xc2])), p[2]);
         let d = (target - here.point).try_normalize()?;
         if d.dot(normal) <= GRAZING {
@@ -332,12 +332,11 @@ impl Walker<'_, '_> {
         let scene = self.visibility.scene();
         let f = &scene.faces[face as usize];
         let p = sobol(index, 0, seed_of(&[face, 0x11]));
-        let (u, v) = if f.is_triangle() { sampling::triangle(p[0], p[1]) } else { (p[0], p[1]) };
-        let (p0, e1, e2) = scene.face_frame(f);
+        let frame = scene.face_frame(f);
+        let uv = frame.uniform(p[0], p[1]);
         let normal = if front { f.normal } else { -f.normal };
         let d = Frame::new(normal).to_scene(cosine_hemisphere(p[2], p[3]));
-        let (u, v) = self.visibility.inside(face, u, v);
-        let point = p0 + u * e1 + v * e2;
+        let point = frame.at(self.visibility.inside(face, uv.x, uv.y).into());
         let mut sides = self.walk(self.visibility.leave(face, point, normal), d, face);
         sides.push((side_index(face, front) as u32, point));
         sides

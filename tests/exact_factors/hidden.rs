@@ -82,7 +82,7 @@ fn views_that_bend_between_points() {
     let scene = twopass::scene::load(&path).expect("scene");
     let device = device();
     let visibility = Visibility::new(&device, &scene).expect("tree");
-    let mesh = Mesh::new(&scene, &Sides::fronts(&scene), 0.11, true).expect("mesh");
+    let mesh = Mesh::new(&scene, &Sides::fronts(&scene), 0.085, true).expect("mesh");
     let find = |error: f64| {
         let asked = Request { error: Some(error), floor: 1e-6, by_object: false, ..request(16, 0) };
         estimate(&visibility, &mesh, &asked)

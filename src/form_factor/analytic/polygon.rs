@@ -52,9 +52,9 @@ impl Polygon {
         let mut polygon = if grid.len() == 1 {
             Polygon::of_face(scene, face_ref)
         } else {
-            let (p0, e1, e2) = scene.face_frame(face_ref);
+            let frame = scene.face_frame(face_ref);
             let (o, a, b) = grid.cell_frame(cell);
-            let at = |uv: glam::DVec2| p0 + uv.x * e1 + uv.y * e2;
+            let at = |uv: glam::DVec2| frame.at(uv);
             let corners =
                 [at(o), at(o + a), at(if grid.is_triangle() { o + b } else { o + a + b }), at(o + b)];
             Polygon::new(&corners[..if grid.is_triangle() { 3 } else { 4 }], face_ref.normal)

@@ -10,7 +10,7 @@
 
 use super::delta::side_rows;
 use crate::mesh::{Lattice, Mesh, NONE};
-use crate::scene::Scene;
+use crate::scene::{Scene, from_affine};
 use glam::{DMat3, DVec3};
 
 /// Sides of a hemi-cube; 0 is the top.
@@ -58,7 +58,7 @@ struct Drawn {
     /// `d . normal / distance` is the reciprocal depth.
     normal: DVec3,
     distance: f64,
-    /// (u, v) of a pixel is `d . u / d . normal`, `d . v / d . normal`.
+    /// Multiples of the face's edges at a pixel are `d . u / d . normal`, `d . v / d . normal`: (u, v), but for skewed faces.
     u: DVec3,
     v: DVec3,
     /// First element of the side that is seen.
@@ -66,6 +66,8 @@ struct Drawn {
     face: u32,
     /// The cells of its face, or the finest of them.
     lattice: Lattice,
+    /// Of its face.
+    skew: [f32; 2],
 }
 
 /// A face on one side of the hemi-cube.
@@ -206,6 +208,7 @@ impl<'a> ItemBuffer<'a> {
             first: self.mesh.first(k as u32, front),
             face: k as u32,
             lattice: self.mesh.grid(k as u32).lattice,
+            skew: face.skew.as_vec2().to_array(),
         });
         let count = if face.is_triangle() { 3 } else { 4 };
         let mut edges = [DVec3::ZERO; 4];
@@ -357,6 +360,14 @@ fn locate(face: &Drawn, direction: DVec3, step: DVec3, ramp: &[f32], cells: &mut
         for (cell, k) in cells.iter_mut().zip(ramp) {
             let scale = 1.0 / (d0 + d1 * k);
             *cell = grid.cell((u0 + u1 * k) * scale / nu, (v0 + v1 * k) * scale / nv);
+        }
+        return;
+    }
+    if face.skew != [0.0; 2] {
+        for (cell, k) in cells.iter_mut().zip(ramp) {
+            let scale = 1.0 / (d0 + d1 * k);
+            let (u, v) = from_affine(face.skew, (u0 + u1 * k) * scale / nu, (v0 + v1 * k) * scale / nv);
+            *cell = grid.cell(u, v);
         }
         return;
     }
