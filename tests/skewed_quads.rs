@@ -82,11 +82,11 @@ fn rays_land_where_they_are_sent() {
             let mut packet = RayPacket::new();
             packet.set(3, &Ray::new(origin, direction));
             visibility.closest16(&mut packet, false);
-            let lanes = visibility.hits(&packet);
+            let lane = visibility.lane(&packet, 3, origin, direction, u32::MAX).expect("a hit");
             let one = visibility.closest(origin, direction, u32::MAX).expect("a hit");
-            for (face, hu, hv) in [(one.face, one.u, one.v), (lanes.face[3], lanes.u[3], lanes.v[3])] {
-                let off = (f64::from(hu) - u).abs().max((f64::from(hv) - v).abs());
-                assert!(face == k as u32 && off < 2e-6, "{u} {v}: {hu} {hv} of face {face}");
+            for hit in [one, lane] {
+                let off = (f64::from(hit.u) - u).abs().max((f64::from(hit.v) - v).abs());
+                assert!(hit.face == k as u32 && off < 2e-6, "{u} {v}: {hit:?}");
             }
         }
     }

@@ -6,6 +6,7 @@
 
 #![allow(unsafe_code)]
 
+mod halves;
 mod packet;
 mod rate;
 mod ray;

@@ -1,5 +1,6 @@
 //! Packets of 16 rays, in Embree's own structures so that nothing is copied around a query.
 
+use super::halves::{face_of, turned};
 use super::ray::{Hit, LIMIT, Ray};
 use super::scene::MISS;
 use super::sys;
@@ -85,6 +86,8 @@ pub struct Hits {
     pub u: [f32; LANES],
     /// Second coordinate on the face.
     pub v: [f32; LANES],
+    /// Towards the front of the face, of any length.
+    pub normal: [[f32; LANES]; 3],
 }
 
 /// 16 rays and their nearest hits.
@@ -94,7 +97,7 @@ pub struct Hits {
 pub struct RayPacket {
     pub(super) query: sys::RTCRayHit16,
     pub(super) valid: Valid,
-    /// Of the scene that was traced last; turns (geometry, primitive) into a face.
+    /// Of the scene that was traced last; turns a primitive into a face.
     pub(super) triangle_count: u32,
 }
 
@@ -161,14 +164,16 @@ impl RayPacket {
     #[inline(always)]
     pub fn hits(&self) -> Hits {
         let hit = &self.query.hit;
-        let mut face = [MISS; LANES];
-        for (l, face) in face.iter_mut().enumerate() {
+        let mut hits =
+            Hits { face: [MISS; LANES], u: hit.u, v: hit.v, normal: [hit.Ng_x, hit.Ng_y, hit.Ng_z] };
+        for l in 0..LANES {
             // No branches: all lanes at once.
             let found = (self.valid.0[l] != 0) & (hit.geomID[l] != MISS);
-            let met = hit.primID[l].wrapping_add(hit.geomID[l].wrapping_mul(self.triangle_count));
-            *face = if found { met } else { MISS };
+            let (met, second) = face_of(hit.primID[l], self.triangle_count);
+            hits.face[l] = if found { met } else { MISS };
+            (hits.u[l], hits.v[l]) = (turned(hit.u[l], second), turned(hit.v[l], second));
         }
-        Hits { face, u: hit.u, v: hit.v }
+        hits
     }
 
     /// The hit of a lane (0 to 15); `None` for a miss and for an inactive lane.
@@ -176,13 +181,11 @@ impl RayPacket {
     pub fn hit(&self, lane: usize) -> Option<Hit> {
         assert!(lane < LANES);
         let hit = &self.query.hit;
-        let geometry = hit.geomID[lane];
         // Without AVX-512, Embree writes hits into inactive lanes too.
-        (self.valid.0[lane] != 0 && geometry != MISS).then(|| Hit {
-            face: hit.primID[lane] + geometry * self.triangle_count,
-            u: hit.u[lane],
-            v: hit.v[lane],
-            t: self.query.ray.tfar[lane],
+        (self.valid.0[lane] != 0 && hit.geomID[lane] != MISS).then(|| {
+            let (face, second) = face_of(hit.primID[lane], self.triangle_count);
+            let [u, v] = [hit.u[lane], hit.v[lane]].map(|x| turned(x, second));
+            Hit { face, u, v, t: self.query.ray.tfar[lane] }
         })
     }
 }

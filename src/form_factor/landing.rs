@@ -58,6 +58,7 @@ impl Targets {
         };
         let sides = |k: u32| FaceSides {
             normal: scene.faces[k as usize].normal.as_vec3(),
+            skew: scene.faces[k as usize].skew.as_vec2().to_array(),
             grid: mesh.grid(k).clone(),
             first: [mesh.first(k, true), mesh.first(k, false)],
             kind: [kind(k, true), kind(k, false)],
@@ -86,6 +87,6 @@ impl Targets {
     #[inline(always)]
     pub(super) fn landings<S: Simd>(&self, simd: S, hits: &Hits, rays: &RayLanes) -> Landings {
         let sides = self.0.lanes(simd, hits, rays);
-        Landings { column: sides.cells(hits), kind: sides.kind }
+        Landings { column: sides.cells(), kind: sides.kind }
     }
 }

@@ -358,7 +358,7 @@ impl<'a, 's> Caster<'a, 's> {
             let active = if n - base >= step { whole } else { lanes.active(n - base) };
             scratch.packet.fill(&rays, active);
             self.visibility.closest16(&mut scratch.packet, true);
-            let hits = self.visibility.hits(&scratch.packet);
+            let hits = scratch.packet.hits();
             let landings = self.targets.landings(simd, &hits, &rays);
             let mut other = [false; LANES];
             for l in 0..LANES {
@@ -379,7 +379,7 @@ impl<'a, 's> Caster<'a, 's> {
                 } else if other[l] {
                     let (k, point) = place(l);
                     let at = (offset + k, batch, (base + point) as u32);
-                    self.beyond(scratch, &lanes.sources[k], at, lane(&rays, l), (&hits, l));
+                    self.beyond(scratch, &lanes.sources[k], at, lane(&rays, l), l);
                 } else {
                     scratch.landed[own[l] + base] = landings.column[l];
                 }

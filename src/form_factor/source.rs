@@ -71,9 +71,12 @@ pub(super) struct Lanes {
 struct Twist {
     /// From where the third corner of a parallelogram would be to where it is.
     c: [[f32; LANES]; 3],
-    /// Density of area at the origin, and how it changes along both edges ([`crate::scene::FaceFrame::densities`]).
-    density: [[f32; LANES]; 3],
+    /// How the density of area changes along both edges ([`crate::scene::FaceFrame::slopes`]).
+    slopes: [[f32; LANES]; 2],
 }
+
+/// Slopes below this let points be moved without divisions and roots.
+const GENTLE: f32 = 1.0 / 64.0;
 
 impl Lanes {
     pub(super) fn new(visibility: &Visibility, mesh: &Mesh, elements: impl Iterator<Item = u32>) -> Lanes {
@@ -106,14 +109,10 @@ impl Lanes {
                 (d.x * place.e1 + d.y * place.e2 + (o.x * d.y + o.y * d.x) * place.twist).as_vec3()
             };
             if place.is_twisted() {
-                let twist = lanes.twist.get_or_insert_with(|| Twist {
-                    density: [[1.0; LANES], [0.0; LANES], [0.0; LANES]],
-                    ..Twist::default()
-                });
-                let (c, density) = ((a.x * b.y * place.twist).as_vec3(), place.densities(inside));
-                for d in 0..3 {
-                    (twist.c[d][k], twist.density[d][k]) = (c[d], density[d] as f32);
-                }
+                let twist = lanes.twist.get_or_insert_default();
+                let (c, slopes) = ((a.x * b.y * place.twist).as_vec3(), place.slopes(inside));
+                (0..3).for_each(|d| twist.c[d][k] = c[d]);
+                (0..2).for_each(|d| twist.slopes[d][k] = slopes[d] as f32);
             }
             for c in 0..3 {
                 lanes.origin[c][k] = origin[c];
@@ -138,7 +137,7 @@ impl Lanes {
                 v.iter_mut().for_each(|c| c[l] = c[l % width]);
             }
             self.triangle[l] = self.triangle[l % width];
-            for t in self.twist.iter_mut().flat_map(|t| t.c.iter_mut().chain(&mut t.density)) {
+            for t in self.twist.iter_mut().flat_map(|t| t.c.iter_mut().chain(&mut t.slopes)) {
                 t[l] = t[l % width];
             }
             self.shift.iter_mut().for_each(|c| c[l] = c[l % width]);
@@ -202,12 +201,18 @@ impl Lanes {
                 (s[l], t[l]) = if self.triangle[l] { folded } else { (u, v) };
             }
         }
-        if let Some(Twist { density: [d, along_s, along_t], .. }) = &self.twist {
+        if let Some(Twist { slopes: [along_s, along_t], .. }) = &self.twist {
+            // [`crate::scene::FaceFrame::even`] in single precision.
+            let gentle = along_s.iter().chain(along_t).all(|slope| slope.abs() < GENTLE);
             for l in 0..LANES {
-                // [`crate::scene::FaceFrame::even`] in single precision.
-                let middle = d[l] + 0.5 * along_t[l];
-                s[l] = linear(middle, along_s[l], s[l]);
-                t[l] = linear(d[l] + s[l] * along_s[l], along_t[l], t[l]);
+                let along_s = along_s[l];
+                if gentle {
+                    s[l] = linear_gently(along_s, s[l]);
+                    t[l] = linear_gently(along_t[l] * (1.0 - (2.0 * s[l] - 1.0) * along_s), t[l]);
+                } else {
+                    s[l] = linear(along_s, s[l]);
+                    t[l] = linear(along_t[l] / (1.0 + (2.0 * s[l] - 1.0) * along_s), t[l]);
+                }
             }
         }
         let (mut dx, mut dy, mut dz) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
@@ -230,11 +235,17 @@ impl Lanes {
     }
 }
 
-/// x in [0, 1] for `r` uniform there, with a density that begins with `a` and changes by `b`.
+/// x in [0, 1] for `r` uniform there, with a density that goes linearly from `1 - slope` at 0 to `1 + slope` at 1.
 #[inline(always)]
-fn linear(a: f32, b: f32, r: f32) -> f32 {
-    let sum = a + a + b;
-    r * sum / (a + (a * a + r * b * sum).sqrt())
+fn linear(slope: f32, r: f32) -> f32 {
+    let start = 1.0 - slope;
+    2.0 * r / (start + (start * start + 4.0 * slope * r).sqrt())
+}
+
+/// The same for slopes below [`GENTLE`]: every step gains as many digits as the slope has zeros.
+#[inline(always)]
+fn linear_gently(slope: f32, r: f32) -> f32 {
+    (0..3).fold(r, |x, _| r + slope * x * (1.0 - x))
 }
 
 /// Lane `k` of 16 rays.

@@ -218,7 +218,7 @@ impl Context<'_, '_> {
             self.cast(active.count_ones());
             packet.fill(&rays, active);
             self.visibility.closest16(&mut packet, rays.is_narrow(active));
-            let hits = self.visibility.hits(&packet);
+            let hits = packet.hits();
             let places = self.landings.places(simd, &hits, &rays);
             for lane in numbers.lanes(count - base) {
                 let r = numbers.receiver(lane);

@@ -43,7 +43,8 @@ impl Landings {
             let normal = face.normal.as_vec3();
             let Some(solution) = solution else { return FaceSides::bare(normal, kind) };
             let first = [true, false].map(|front| solution.nodes.first(k, front));
-            FaceSides { normal, grid: solution.mesh.grid(k).clone(), first, kind }
+            let skew = face.skew.as_vec2().to_array();
+            FaceSides { normal, skew, grid: solution.mesh.grid(k).clone(), first, kind }
         };
         Landings(SideTable::new((0..scene.faces.len() as u32).map(sides), 0))
     }
@@ -58,7 +59,7 @@ impl Landings {
     #[inline(always)]
     pub fn places<S: Simd>(&self, simd: S, hits: &Hits, rays: &RayLanes) -> Places {
         let sides = self.0.lanes(simd, hits, rays);
-        let (nodes, weights) = sides.interpolation(hits);
+        let (nodes, weights) = sides.interpolation();
         Places { first: sides.first, nodes, weights, kind: sides.kind }
     }
 }

@@ -59,9 +59,10 @@ pub fn from_affine([cx, cy]: [f32; 2], a: f32, b: f32) -> (f32, f32) {
     (a - cx * uv, b - cy * uv)
 }
 
-/// x in [0, 1] for `r` uniform there, with a density that goes linearly from `a` at 0 to `b` at 1.
-fn linear(a: f64, b: f64, r: f64) -> f64 {
-    r * (a + b) / (a + (a * a + r * (b * b - a * a)).sqrt())
+/// x in [0, 1] for `r` uniform there, with a density that goes linearly from `1 - slope` at 0 to `1 + slope` at 1.
+fn linear(slope: f64, r: f64) -> f64 {
+    let start = 1.0 - slope;
+    2.0 * r / (start + (start * start + 4.0 * slope * r).sqrt())
 }
 
 impl FaceFrame {
@@ -99,16 +100,15 @@ impl FaceFrame {
         if !self.is_twisted() {
             return DVec2::new(s, t);
         }
-        let [d, along_s, along_t] = self.densities((origin, a, b));
-        let s = linear(d + 0.5 * along_t, d + 0.5 * along_t + along_s, s);
-        let d = d + s * along_s;
-        DVec2::new(s, linear(d, d + along_t, t))
+        let [along_s, along_t] = self.slopes((origin, a, b));
+        let s = linear(along_s, s);
+        DVec2::new(s, linear(along_t / (1.0 + (2.0 * s - 1.0) * along_s), t))
     }
 
-    /// Of such a rectangle: [`FaceFrame::density`] at its origin, and how that changes along `a` and along `b`.
-    pub fn densities(&self, (origin, a, b): (DVec2, DVec2, DVec2)) -> [f64; 3] {
-        let d = self.density(origin);
-        [d, self.density(origin + a) - d, self.density(origin + b) - d]
+    /// How much [`FaceFrame::density`] changes from the middle of such a rectangle along half of `a` and of `b`, over what it is there.
+    pub fn slopes(&self, (origin, a, b): (DVec2, DVec2, DVec2)) -> [f64; 2] {
+        let middle = self.density(origin + 0.5 * (a + b));
+        [a, b].map(|edge| 0.5 * (self.density(origin + edge) - self.density(origin)) / middle)
     }
 
     /// (u, v) of a point of the face's plane; not a number for some that are far from a quad.

@@ -12,7 +12,7 @@ pub use reach::reachable_sides;
 pub use sides::{FaceSides, SideTable};
 
 use crate::Result;
-use crate::embree::{CommittedScene, Device, Hits, Ray, RayPacket, ShadowPacket};
+use crate::embree::{CommittedScene, Device, Ray, RayPacket, ShadowPacket};
 use crate::mesh::Place;
 use crate::scene::{Face, Scene, from_halves};
 use glam::{DVec2, DVec3, Vec3};
@@ -197,19 +197,6 @@ impl<'s> Visibility<'s> {
     #[inline]
     pub fn closest16(&self, packet: &mut RayPacket, coherent: bool) {
         self.embree.intersect16(packet, coherent);
-    }
-
-    /// What the rays of a traced packet met.
-    #[inline(always)]
-    pub fn hits(&self, packet: &RayPacket) -> Hits {
-        let mut hits = packet.hits();
-        if let Some(last) = self.skews.len().checked_sub(1) {
-            let skews = hits.face.map(|face| self.skews[(face as usize).min(last)]);
-            for (l, skew) in skews.into_iter().enumerate() {
-                (hits.u[l], hits.v[l]) = from_halves(skew, hits.u[l], hits.v[l]);
-            }
-        }
-        hits
     }
 
     /// The ray from `origin` to `target`, a point of a face seen from the side that `normal` points to:

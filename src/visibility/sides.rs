@@ -2,6 +2,7 @@
 
 use crate::embree::{Hits, LANES, RayLanes};
 use crate::mesh::{Grid, Lattice, NONE};
+use crate::scene::from_halves;
 use glam::Vec3;
 use pulp::Simd;
 
@@ -10,6 +11,8 @@ use pulp::Simd;
 pub struct FaceSides {
     /// Of the front.
     pub normal: Vec3,
+    /// Of the face ([`crate::scene::Face`]).
+    pub skew: [f32; 2],
     /// The cells of either side.
     pub grid: Grid,
     /// What the cells of a side are numbered from, or [`NONE`].
@@ -27,6 +30,7 @@ pub struct SideTable {
     faces: Vec<FaceSides>,
     records: Vec<Record>,
     adaptive: bool,
+    skewed: bool,
 }
 
 /// The sides that the rays of a packet landed on.
@@ -35,6 +39,9 @@ pub struct SideLanes<'t> {
     pub first: [u32; LANES],
     /// Kind of the side; 32 bits a lane, like all else, so that lanes go together.
     pub kind: [u32; LANES],
+    /// (u, v) where they landed.
+    u: [f32; LANES],
+    v: [f32; LANES],
     nu: [u32; LANES],
     nv: [u32; LANES],
     triangle: [u32; LANES],
@@ -45,14 +52,15 @@ pub struct SideLanes<'t> {
 impl FaceSides {
     /// A face without cells.
     pub fn bare(normal: Vec3, kind: [u8; 2]) -> FaceSides {
-        FaceSides { normal, grid: Lattice { nu: 1, nv: 1, triangle: false }.into(), first: [NONE; 2], kind }
+        let grid = Lattice { nu: 1, nv: 1, triangle: false }.into();
+        FaceSides { normal, skew: [0.0; 2], grid, first: [NONE; 2], kind }
     }
 
     fn record(&self) -> Record {
-        let [x, y, z] = self.normal.to_array().map(f32::to_bits);
+        let [cx, cy] = self.skew.map(f32::to_bits);
         let lattice = &self.grid.lattice;
         let bits = u32::from(self.kind[0]) | u32::from(self.kind[1]) << 8 | u32::from(lattice.triangle) << 16;
-        [x, y, z, self.first[0], self.first[1], bits, lattice.nu, lattice.nv]
+        [self.first[0], self.first[1], bits, lattice.nu, lattice.nv, cx, cy, 0]
     }
 
     /// 0 for a ray that comes to the front, 1 for one that comes to the back.
@@ -67,7 +75,9 @@ impl SideTable {
     pub fn new(faces: impl Iterator<Item = FaceSides>, nothing: u8) -> SideTable {
         let faces: Vec<FaceSides> = faces.chain([FaceSides::bare(Vec3::ZERO, [nothing; 2])]).collect();
         let records = faces.iter().map(FaceSides::record).collect();
-        SideTable { adaptive: faces.iter().any(|t| t.grid.is_adaptive()), records, faces }
+        let adaptive = faces.iter().any(|t| t.grid.is_adaptive());
+        let skewed = faces.iter().any(|t| t.skew != [0.0; 2]);
+        SideTable { adaptive, skewed, records, faces }
     }
 
     /// A face; one that there is not stands for none.
@@ -87,11 +97,11 @@ impl SideTable {
     pub fn lanes<S: Simd>(&self, simd: S, hits: &Hits, rays: &RayLanes) -> SideLanes<'_> {
         let last = self.records.len() - 1;
         let met: [&Record; LANES] = std::array::from_fn(|l| &self.records[(hits.face[l] as usize).min(last)]);
-        let [x, y, z, front_first, back_first, bits, nu, nv] = fields(simd, met);
+        let [front_first, back_first, bits, nu, nv, cx, cy, _] = fields(simd, met);
         let (mut first, mut kind, mut triangle) = ([0; LANES], [0; LANES], [0; LANES]);
         for l in 0..LANES {
             let [dx, dy, dz] = [0, 1, 2].map(|c| rays.direction[c][l]);
-            let [x, y, z] = [x[l], y[l], z[l]].map(f32::from_bits);
+            let [x, y, z] = [0, 1, 2].map(|c| hits.normal[c][l]);
             let cosine = x * dx + y * dy + z * dz;
             // All ones where the ray comes to the front: as a mask, LLVM leaves it in its lane. Adding zero takes the sign from -0.
             let front = ((cosine + 0.0).to_bits() as i32 >> 31) as u32;
@@ -100,7 +110,14 @@ impl SideTable {
             triangle[l] = bits[l] >> 16;
         }
         let grids = if self.adaptive { Some(hits.face.map(|face| &self.face(face).grid)) } else { None };
-        SideLanes { first, kind, nu, nv, triangle, grids }
+        let (mut u, mut v) = (hits.u, hits.v);
+        if self.skewed {
+            for l in 0..LANES {
+                let skew = [cx[l], cy[l]].map(f32::from_bits);
+                (u[l], v[l]) = from_halves(skew, hits.u[l], hits.v[l]);
+            }
+        }
+        SideLanes { first, kind, u, v, nu, nv, triangle, grids }
     }
 }
 
@@ -162,8 +179,8 @@ impl SideLanes<'_> {
 
     /// Numbers of the cells that the rays landed on, counted from [`SideLanes::first`]; [`NONE`] where the side has none.
     #[inline(always)]
-    pub fn cells(&self, hits: &Hits) -> [u32; LANES] {
-        let mut cell: [u32; LANES] = std::array::from_fn(|l| self.lattice(l).cell(hits.u[l], hits.v[l]));
+    pub fn cells(&self) -> [u32; LANES] {
+        let mut cell: [u32; LANES] = std::array::from_fn(|l| self.lattice(l).cell(self.u[l], self.v[l]));
         if let Some(grids) = self.grids {
             cell.iter_mut().zip(grids).for_each(|(c, grid)| *c = grid.holding(*c));
         }
@@ -176,17 +193,17 @@ impl SideLanes<'_> {
 
     /// Local nodes of the cells that the rays landed on, and their weights there, as in [`Lattice::interpolation`].
     #[inline(always)]
-    pub fn interpolation(&self, hits: &Hits) -> ([[u32; LANES]; 4], [[f32; LANES]; 4]) {
+    pub fn interpolation(&self) -> ([[u32; LANES]; 4], [[f32; LANES]; 4]) {
         let (mut nodes, mut weights) = ([[0; LANES]; 4], [[0.0; LANES]; 4]);
         for l in 0..LANES {
-            let place = self.lattice(l).interpolation(hits.u[l], hits.v[l]);
+            let place = self.lattice(l).interpolation(self.u[l], self.v[l]);
             for k in 0..4 {
                 (nodes[k][l], weights[k][l]) = (place.0[k], place.1[k]);
             }
         }
         let differing = self.grids.into_iter().flatten().enumerate().filter(|(_, g)| g.is_adaptive());
         for (l, grid) in differing {
-            let place = grid.interpolation(hits.u[l], hits.v[l]);
+            let place = grid.interpolation(self.u[l], self.v[l]);
             for k in 0..4 {
                 (nodes[k][l], weights[k][l]) = (place.0[k], place.1[k]);
             }

@@ -6,7 +6,6 @@ use super::super::source::Source;
 use super::super::specular::{Carried, Link, pass_on};
 use super::{AtSpecular, Caster, Scratch};
 use crate::color::{self, Rgb};
-use crate::embree::Hits;
 use crate::emitters::{Passage, cosine_density, mis_share};
 use crate::mesh::NONE;
 use crate::sampling::seed_of;
@@ -19,7 +18,7 @@ const LEAST: f64 = 0.02;
 
 impl Caster<'_, '_> {
     /// A ray that met its own face, an emitter, a specular surface or a side that no light can reach; `at` is the place in the group,
-    /// the randomisation and the point.
+    /// the randomisation and the point, `l` the lane of the packet.
     #[cold]
     pub(super) fn beyond(
         &self,
@@ -27,18 +26,14 @@ impl Caster<'_, '_> {
         source: &Source,
         at: (usize, u32, u32),
         (origin, direction): (Vec3, Vec3),
-        (hits, l): (&Hits, usize),
+        l: usize,
     ) {
         let (k, batch, point) = at;
         let place = self.place(scratch, k, batch);
-        let mut hit = SurfaceHit { face: hits.face[l], u: hits.u[l], v: hits.v[l], front: true };
-        if hit.face == source.face {
-            let Some(next) = self.visibility.closest(origin, direction, source.face) else {
-                scratch.fates[place].escaped += 1;
-                return;
-            };
-            hit = next;
-        }
+        let Some(mut hit) = self.visibility.lane(&scratch.packet, l, origin, direction, source.face) else {
+            scratch.fates[place].escaped += 1;
+            return;
+        };
         let met = self.targets.landing(hit.face, (hit.u, hit.v), direction);
         hit.front = met.front;
         let fate = &mut scratch.fates[place];
