@@ -75,9 +75,6 @@ struct Twist {
     slopes: [[f32; LANES]; 2],
 }
 
-/// Slopes below this let points be moved without divisions and roots.
-const GENTLE: f32 = 1.0 / 64.0;
-
 impl Lanes {
     pub(super) fn new(visibility: &Visibility, mesh: &Mesh, elements: impl Iterator<Item = u32>) -> Lanes {
         let scene = visibility.scene();
@@ -103,8 +100,7 @@ impl Lanes {
             let (o, a, b) = inside;
             let normal = mesh.normal(scene, element);
             let frame = Frame::new(normal);
-            let at = place.at(o);
-            let origin = visibility.leave(face, at, normal);
+            let origin = visibility.leave(face, place.at(o), normal);
             let edge = |d: DVec2| {
                 (d.x * place.e1 + d.y * place.e2 + (o.x * d.y + o.y * d.x) * place.twist).as_vec3()
             };
@@ -203,16 +199,9 @@ impl Lanes {
         }
         if let Some(Twist { slopes: [along_s, along_t], .. }) = &self.twist {
             // [`crate::scene::FaceFrame::even`] in single precision.
-            let gentle = along_s.iter().chain(along_t).all(|slope| slope.abs() < GENTLE);
             for l in 0..LANES {
-                let along_s = along_s[l];
-                if gentle {
-                    s[l] = linear_gently(along_s, s[l]);
-                    t[l] = linear_gently(along_t[l] * (1.0 - (2.0 * s[l] - 1.0) * along_s), t[l]);
-                } else {
-                    s[l] = linear(along_s, s[l]);
-                    t[l] = linear(along_t[l] / (1.0 + (2.0 * s[l] - 1.0) * along_s), t[l]);
-                }
+                s[l] = linear(along_s[l], s[l]);
+                t[l] = linear(along_t[l] / (1.0 + (2.0 * s[l] - 1.0) * along_s[l]), t[l]);
             }
         }
         let (mut dx, mut dy, mut dz) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
@@ -240,12 +229,6 @@ impl Lanes {
 fn linear(slope: f32, r: f32) -> f32 {
     let start = 1.0 - slope;
     2.0 * r / (start + (start * start + 4.0 * slope * r).sqrt())
-}
-
-/// The same for slopes below [`GENTLE`]: every step gains as many digits as the slope has zeros.
-#[inline(always)]
-fn linear_gently(slope: f32, r: f32) -> f32 {
-    (0..3).fold(r, |x, _| r + slope * x * (1.0 - x))
 }
 
 /// Lane `k` of 16 rays.
