@@ -1,15 +1,12 @@
 //! Images of a given error (`--error`): how wrong they are indeed, and what they say.
 
 use super::record::{Chart, Figure, PARAMETER, Subject, Unit};
-use super::reference::reference_of;
-use super::view::{FIRST, View, settings, small_camera};
-use super::{Context, Measurements, embedded};
+use super::view::{FIRST, View, settings, with_view};
+use super::{Context, Measurements};
 use crate::Result;
 use crate::accuracy::{self, render_to_error};
-use crate::emitters::Emitters;
 use crate::pipeline;
 use crate::render::{Method, Quality};
-use crate::visibility::Visibility;
 use std::time::Instant;
 
 const TRUE: &str = "true error";
@@ -27,7 +24,7 @@ pub fn run(context: &Context) -> Result<Measurements> {
     let mut found = Measurements::default();
     let mut shares = Vec::new();
     for (name, asked) in context.choose(quick, full) {
-        let subject = scene(context, name, asked)?;
+        let subject = with_view(context, name, |view| scene(view, name, asked))?;
         let points = subject.series.iter().flat_map(|s| &s.points);
         shares.extend(points.filter_map(|p| p.get(SHARE)).flat_map(|m| m.samples.clone()));
         found.subjects.push(subject);
@@ -42,19 +39,8 @@ pub fn run(context: &Context) -> Result<Measurements> {
     Ok(found)
 }
 
-fn scene(context: &Context, name: &str, errors: &[f64]) -> Result<Subject> {
-    let scene = embedded(name)?;
-    let camera = small_camera(context, &scene)?;
-    let visibility = Visibility::new(context.device, &scene)?;
-    let emitters = Emitters::new(&visibility);
-    let (reference, by) = reference_of(name, context, &visibility, &emitters, &camera)?;
-    let stage = View {
-        context,
-        visibility: &visibility,
-        emitters: &emitters,
-        camera: &camera,
-        reference: &reference,
-    };
+fn scene((stage, by): (&View, &str), name: &str, errors: &[f64]) -> Result<Subject> {
+    let View { context, visibility, emitters, camera, reference } = *stage;
     let mut subject = Subject::new(
         name,
         format!("{name}, {} x {} pixels", camera.size[0], camera.size[1]),
@@ -67,10 +53,10 @@ fn scene(context: &Context, name: &str, errors: &[f64]) -> Result<Subject> {
             (context.observer)(&format!("accuracy: {name}, {} % asked, seed {seed}", 100.0 * asked));
             let start = Instant::now();
             let view = accuracy::View {
-                visibility: &visibility,
-                emitters: &emitters,
-                reached: pipeline::reached(&visibility, std::slice::from_ref(&camera), seed, &|_| ()),
-                camera: &camera,
+                visibility,
+                emitters,
+                reached: pipeline::reached(visibility, std::slice::from_ref(camera), seed, &|_| ()),
+                camera,
                 settings: settings(Method::TwoPass(Quality::Gather), 1, seed),
                 limit: None,
             };

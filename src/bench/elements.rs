@@ -1,17 +1,15 @@
 //! Uniform and adaptive elements: how wrong quality `mesh` is with how many of them, after how long.
 
 use super::record::{Chart, Figure, Subject, Unit};
-use super::reference::{Reference, reference_of};
-use super::view::{ERROR, View, settings, small_camera};
-use super::{Context, Measurements, embedded};
+use super::reference::Reference;
+use super::view::{ERROR, View, settings, with_view};
+use super::{Context, Measurements};
 use crate::Result;
 use crate::adaptive;
-use crate::emitters::Emitters;
 use crate::image::relative_rmse_of_halves;
 use crate::pipeline::{self, Pass1};
 use crate::radiosity::{Reads, Solution};
 use crate::render::{Method, Quality};
-use crate::visibility::Visibility;
 use std::time::Instant;
 
 const ELEMENTS: &str = "elements";
@@ -48,23 +46,15 @@ pub fn run(context: &Context) -> Result<Measurements> {
         },
     ];
     let mut found = Measurements::default();
-    context.choose(quick, full).iter().try_for_each(|plan| scene(context, plan, &mut found))?;
+    context
+        .choose(quick, full)
+        .iter()
+        .try_for_each(|plan| with_view(context, plan.name, |view| scene(view, plan, &mut found)))?;
     Ok(found)
 }
 
-fn scene(context: &Context, plan: &Plan, found: &mut Measurements) -> Result<()> {
-    let scene = embedded(plan.name)?;
-    let camera = small_camera(context, &scene)?;
-    let visibility = Visibility::new(context.device, &scene)?;
-    let emitters = Emitters::new(&visibility);
-    let (reference, by) = reference_of(plan.name, context, &visibility, &emitters, &camera)?;
-    let stage = View {
-        context,
-        visibility: &visibility,
-        emitters: &emitters,
-        camera: &camera,
-        reference: &reference,
-    };
+fn scene((stage, by): (&View, &str), plan: &Plan, found: &mut Measurements) -> Result<()> {
+    let View { context, reference, .. } = *stage;
     let mut subject = Subject::new(
         plan.name,
         format!("{}, {} rays an element", plan.name, plan.rays),
@@ -78,7 +68,7 @@ fn scene(context: &Context, plan: &Plan, found: &mut Measurements) -> Result<()>
         for (series, sizes) in [UNIFORM, ADAPTIVE].into_iter().zip(plan.sizes) {
             for size in sizes {
                 let pass = Pass1 { rays: plan.rays, element_size: Some(*size), seed };
-                measure(&stage, &mut subject, series, &pass)?;
+                measure(stage, &mut subject, series, &pass)?;
             }
         }
     }

@@ -4,38 +4,25 @@ use super::foreign::references;
 use super::frames::frames;
 use super::pictures::{Kept, pictures};
 use super::record::{Chart, Figure, PARAMETER, Point, Subject, Unit};
-use super::reference::{reference_of, sees_specular};
-use super::view::{ERROR, FIRST, FLIP, NEXT, SPP, View, pass1, settings, small_camera};
-use super::{Context, Measurements, embedded};
+use super::reference::sees_specular;
+use super::view::{ERROR, FIRST, FLIP, NEXT, SPP, View, pass1, settings, with_view};
+use super::{Context, Measurements};
 use crate::Result;
-use crate::emitters::Emitters;
 use crate::pipeline::Pass1;
 use crate::radiosity::Solution;
 use crate::render::{Estimator, Method, Quality, Settings};
-use crate::visibility::Visibility;
 
 pub fn run(context: &Context) -> Result<Measurements> {
     let mut found = Measurements::default();
     for name in ["cornell", "gallery"] {
-        scene(context, name, &mut found)?;
+        with_view(context, name, |(view, _)| scene(view, name, &mut found))?;
     }
     found.subjects.push(references(context)?);
     Ok(found)
 }
 
-fn scene(context: &Context, name: &str, found: &mut Measurements) -> Result<()> {
-    let scene = embedded(name)?;
-    let camera = small_camera(context, &scene)?;
-    let visibility = Visibility::new(context.device, &scene)?;
-    let emitters = Emitters::new(&visibility);
-    let (reference, _) = reference_of(name, context, &visibility, &emitters, &camera)?;
-    let stage = View {
-        context,
-        visibility: &visibility,
-        emitters: &emitters,
-        camera: &camera,
-        reference: &reference,
-    };
+fn scene(stage: &View, name: &str, found: &mut Measurements) -> Result<()> {
+    let View { visibility, camera, reference, .. } = *stage;
     let mut subject = Subject::new(
         name,
         format!("{name}, {} x {} pixels", camera.size[0], camera.size[1]),
@@ -44,8 +31,8 @@ fn scene(context: &Context, name: &str, found: &mut Measurements) -> Result<()> 
          anew for every frame. The relative RMSE is the root mean squared error of the pixels over the mean of the reference; \
          pixels that see a lamp directly are left out.",
     );
-    let kept = methods(&stage, &mut subject)?;
-    elements(&stage, &mut subject)?;
+    let kept = methods(stage, &mut subject)?;
+    elements(stage, &mut subject)?;
     let floor = Some(("smallest error the reference tells".to_string(), reference.resolution));
     let floored = |mut chart: Chart| {
         chart.floor = floor.clone();
@@ -102,12 +89,12 @@ fn scene(context: &Context, name: &str, found: &mut Measurements) -> Result<()> 
         100.0 * reference.standard_error,
         100.0 * reference.resolution
     ));
-    subject.strips = pictures(&stage, &subject, &kept, name)?;
+    subject.strips = pictures(stage, &subject, &kept, name)?;
     found.figures.extend(figures(name, &subject));
     found.subjects.push(subject);
-    found.subjects.push(frames(&stage, name)?);
-    if scene.materials.iter().any(|m| m.is_specular() && !m.is_glass()) {
-        found.subjects.push(lobes(&stage, name)?);
+    found.subjects.push(frames(stage, name)?);
+    if visibility.scene().materials.iter().any(|m| m.is_specular() && !m.is_glass()) {
+        found.subjects.push(lobes(stage, name)?);
     }
     Ok(())
 }

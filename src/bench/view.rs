@@ -1,9 +1,9 @@
 //! One view of a scene, rendered over and over and compared with its reference.
 
-use super::Context;
 use super::pictures::exposure;
 use super::record::{Subject, Unit};
-use super::reference::{Reference, path_settings};
+use super::reference::{Reference, path_settings, reference_of};
+use super::{Context, embedded};
 use crate::Result;
 use crate::emitters::Emitters;
 use crate::image::{Comparison, Difference, Image, Options, relative_rmse_halves};
@@ -62,6 +62,27 @@ pub(super) struct View<'a, 's> {
     pub emitters: &'a Emitters,
     pub camera: &'a Camera,
     pub reference: &'a Reference,
+}
+
+/// Does something with the measured view of the program's own scene `name`, and how its reference is made, in words.
+pub(super) fn with_view<T>(
+    context: &Context,
+    name: &str,
+    measure: impl FnOnce((&View, &str)) -> Result<T>,
+) -> Result<T> {
+    let scene = embedded(name)?;
+    let camera = small_camera(context, &scene)?;
+    let visibility = Visibility::new(context.device, &scene)?;
+    let emitters = Emitters::new(&visibility);
+    let (reference, by) = reference_of(name, context, &visibility, &emitters, &camera)?;
+    let view = View {
+        context,
+        visibility: &visibility,
+        emitters: &emitters,
+        camera: &camera,
+        reference: &reference,
+    };
+    measure((&view, &by))
 }
 
 /// A frame and what it cost.

@@ -56,12 +56,10 @@ impl Targets {
                 | (UNREACHED * u8::from(unreached))
                 | (ABSORBED * u8::from(absorbed))
         };
-        let sides = |k: u32| FaceSides {
-            normal: scene.faces[k as usize].normal.as_vec3(),
-            skew: scene.faces[k as usize].skew.as_vec2().to_array(),
-            grid: mesh.grid(k).clone(),
-            first: [mesh.first(k, true), mesh.first(k, false)],
-            kind: [kind(k, true), kind(k, false)],
+        let sides = |k: u32| {
+            let first = [true, false].map(|front| mesh.first(k, front));
+            let kind = [true, false].map(|front| kind(k, front));
+            FaceSides::new(&scene.faces[k as usize], mesh.grid(k).clone(), first, kind)
         };
         Targets(SideTable::new((0..scene.faces.len() as u32).map(sides), ESCAPED))
     }

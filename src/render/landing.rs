@@ -40,11 +40,9 @@ impl Landings {
                 let emits = emitters.at(k, front).is_some();
                 (EMITTER * u8::from(emits)) | (SPECULAR * u8::from(specular))
             });
-            let normal = face.normal.as_vec3();
-            let Some(solution) = solution else { return FaceSides::bare(normal, kind) };
+            let Some(solution) = solution else { return FaceSides::bare(face.normal.as_vec3(), kind) };
             let first = [true, false].map(|front| solution.nodes.first(k, front));
-            let skew = face.skew.as_vec2().to_array();
-            FaceSides { normal, skew, grid: solution.mesh.grid(k).clone(), first, kind }
+            FaceSides::new(face, solution.mesh.grid(k).clone(), first, kind)
         };
         Landings(SideTable::new((0..scene.faces.len() as u32).map(sides), 0))
     }

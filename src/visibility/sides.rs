@@ -2,7 +2,7 @@
 
 use crate::embree::{Hits, LANES, RayLanes};
 use crate::mesh::{Grid, Lattice, NONE};
-use crate::scene::from_halves;
+use crate::scene::{Face, from_halves};
 use glam::Vec3;
 use pulp::Simd;
 
@@ -10,9 +10,9 @@ use pulp::Simd;
 #[derive(Debug, Clone)]
 pub struct FaceSides {
     /// Of the front.
-    pub normal: Vec3,
-    /// Of the face ([`crate::scene::Face`]).
-    pub skew: [f32; 2],
+    normal: Vec3,
+    /// Of the face ([`Face`]).
+    skew: [f32; 2],
     /// The cells of either side.
     pub grid: Grid,
     /// What the cells of a side are numbered from, or [`NONE`].
@@ -50,6 +50,11 @@ pub struct SideLanes<'t> {
 }
 
 impl FaceSides {
+    /// The sides of a face, with the cells of `grid`, numbered from `first`.
+    pub fn new(face: &Face, grid: Grid, first: [u32; 2], kind: [u8; 2]) -> FaceSides {
+        FaceSides { normal: face.normal.as_vec3(), skew: face.skew.as_vec2().to_array(), grid, first, kind }
+    }
+
     /// A face without cells.
     pub fn bare(normal: Vec3, kind: [u8; 2]) -> FaceSides {
         let grid = Lattice { nu: 1, nv: 1, triangle: false }.into();
