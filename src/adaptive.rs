@@ -2,14 +2,14 @@
 //!
 //! A coarse mesh is solved, the elements whose interpolated light is most wrong, or makes that of others wrong, are divided, and
 //! the new mesh is solved in turn, until what is left to divide matters little beside the rest or nothing may be divided further.
-//! Where the first mesh is finer than the light asks for, its cells are joined once. All this takes fewer rays than the light itself:
+//! Where the mesh is finer than the light asks for, cells are joined. All this takes fewer rays than the light itself:
 //! the last mesh is solved once more with all of them.
 
 use crate::Result;
 use crate::emitters::Emitters;
 use crate::mesh::{Division, Mesh, default_element_size};
 use crate::pipeline::{self, MOST_VIEWS, Observer, Pass1, Pass1Result, Stage};
-use crate::radiosity::{self, Changes, Reads, element_errors};
+use crate::radiosity::{self, Changes, Judge, Reads};
 use crate::scene::Camera;
 use crate::visibility::Visibility;
 use serde::Serialize;
@@ -66,40 +66,46 @@ pub fn solve(
     let mut adapted = Adapted { elements: Vec::new(), uniform_elements: uniform };
     let mut own: Vec<Stage> = Vec::new();
     let rays = (settings.rays / LOOK).max(LEAST_RAYS).min(settings.rays);
-    let (mut pass, mut last) = (Pass1 { rays, ..*settings }, false);
+    // Of few rays, the passes that look cast them all, and one of them is the last.
+    let few = rays == settings.rays;
+    let (mut pass, mut last, mut passes) = (Pass1 { rays, ..*settings }, false, 0);
     loop {
         let mesh = pipeline::building(stages, || Mesh::divided(scene, &reached, &division, false))?;
         let elements = mesh.len();
-        if !last {
+        passes += 1;
+        if adapted.elements.last() != Some(&elements) {
             adapted.elements.push(elements);
         }
         let what = (&reached, mesh, Some(&views[..]));
         let mut result = pipeline::solve_mesh(limit, visibility, emitters, what, &pass, observer, &mut own)?;
         let mut too_large = None;
-        let more = pipeline::building(stages, || -> Result<bool> {
+        let enough = pipeline::building(stages, || -> Result<bool> {
             let s = &result.solution;
-            let Some(importance) = &result.importance else { return Ok(false) };
-            let errors = element_errors(scene, &division, s, importance, reads)?;
-            let sent: Vec<f64> = errors.iter().map(|e| e.sent).collect();
+            let Some(importance) = &result.importance else { return Ok(true) };
+            let judge = Judge::new(s, importance, reads);
+            let errors = judge.elements(&division);
+            let sent: Vec<f64> = errors.iter().map(|[u, v]| u.sent + v.sent).collect();
             too_large = radiosity::too_large(scene, s, &sent, !views.is_empty());
-            if last || adapted.elements.len() >= MOST_PASSES {
-                return Ok(false);
+            if last {
+                return Ok(true);
             }
-            let first = adapted.elements.len() == 1;
-            let Changes { divide, join, excess } = Changes::new(&s.mesh, &division, &errors, REST, first);
-            let little = 3 * divide.len() <= elements / LITTLE && excess < NEARLY;
-            if (divide.is_empty() || little) && 3 * join.len() <= elements / LITTLE {
-                return Ok(false);
+            let Changes { divide, join, added, excess } =
+                Changes::new(&s.mesh, &division, &judge, &errors, REST);
+            let little = |cells: usize| cells <= elements / LITTLE;
+            let enough = passes >= MOST_PASSES
+                || (added == 0 || little(added) && excess < NEARLY) && little(join.len());
+            // What is little is done where another solve follows anyway.
+            if !(enough && few) {
+                let wanted = |face, cell| divide.get(&(face, cell)).copied().unwrap_or_default();
+                division.change(wanted, &join);
+                division.balance(scene, &reached)?;
             }
-            let among = |cells: &[(u32, u32)], face, cell| cells.binary_search(&(face, cell)).is_ok();
-            division.change(|face, cell| among(&divide, face, cell), |face, cell| among(&join, face, cell));
-            division.balance(scene, &reached)?;
-            Ok(true)
+            Ok(enough)
         })?;
-        if more {
+        if !enough {
             continue;
         }
-        if pass == *settings {
+        if last || few {
             result.warnings.extend(too_large);
             pipeline::merge(stages, own);
             return Ok((result, adapted));

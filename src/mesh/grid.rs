@@ -5,13 +5,24 @@ use super::{MOST_ELEMENTS, NONE};
 use glam::DVec2;
 use std::sync::Arc;
 
-/// Most times that a cell of level 0 is divided.
+/// Most times that a cell of level 0 is divided along either edge.
 pub(super) const MOST_LEVELS: u8 = 12;
+
+/// How often a cell of level 0 was halved along u and along v; equal on a triangle, whose cells are quartered.
+pub type Levels = [u8; 2];
+
+/// A cell of an adaptive face: it has this place in the lattice of cells of its own size.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Cell {
+    pub at: CellAt,
+    pub levels: Levels,
+}
 
 /// The cells of one face.
 ///
-/// An adaptive face has cells of several levels: each is one of level 0 or a quarter of one of the level below, congruent to
-/// it. They are numbered depth first, so that neighbours have near numbers.
+/// An adaptive face has cells of several sizes: on a quad each is one of level 0 or a half of a larger one, on a triangle one of
+/// level 0 or a quarter of a larger one, congruent to it. They are numbered by where they begin on the Z-order curve, triangles
+/// depth first, so that neighbours have near numbers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Grid {
     /// The cells of a regular face; of an adaptive one, the lattice of the finest of its cells over the whole face.
@@ -29,14 +40,11 @@ struct Leaves {
     nodes: Vec<DVec2>,
 }
 
-/// A cell: a lattice coarser by `2^shift` has it at (`iu`, `iv`).
+/// A cell, in a lattice coarser by `2^shift` along u and v.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Leaf {
-    iu: u32,
-    iv: u32,
-    inverted: bool,
-    shift: u8,
-    level: u8,
+    cell: Cell,
+    shift: Levels,
     corners: [u32; 4],
 }
 
@@ -47,28 +55,23 @@ impl From<Lattice> for Grid {
 }
 
 impl Grid {
-    /// The grid whose cells have these levels, depth first, over a lattice of level 0; none where they do not fit it, or are
-    /// more than a scene may have.
-    pub(super) fn divided(base: Lattice, levels: &[u8]) -> Option<Grid> {
-        let deepest = levels.iter().copied().max()?;
-        if deepest == 0 {
-            return (levels.len() as u64 == base.len()).then(|| base.into());
+    /// The grid of these cells, which cover the lattice `base` of level 0 once; none where their finest are more than a scene may have.
+    pub(super) fn divided(base: Lattice, cells: &[Cell]) -> Option<Grid> {
+        let most = |axis: usize| cells.iter().map(|c| c.levels[axis]).max();
+        let deepest = [most(0)?, most(1)?];
+        if deepest == [0, 0] {
+            return Some(base.into());
         }
-        if deepest > MOST_LEVELS || base.len() << (2 * deepest) > u64::from(MOST_ELEMENTS) {
+        let [nu, nv] = [u64::from(base.nu) << deepest[0], u64::from(base.nv) << deepest[1]];
+        if nu.max(nv) > u64::from(MOST_ALONG) || nu * nv > u64::from(MOST_ELEMENTS) {
             return None;
         }
-        let lattice = Lattice { nu: base.nu << deepest, nv: base.nv << deepest, triangle: base.triangle };
-        if lattice.nu.max(lattice.nv) > MOST_ALONG {
-            return None;
-        }
-        let mut cells = Vec::with_capacity(levels.len());
-        let mut rest = levels.iter().copied().peekable();
-        for cell in 0..base.len() as u32 {
-            grow(base.triangle, (base.at(cell), 0), deepest, &mut rest, &mut cells)?;
-        }
-        if rest.next().is_some() {
-            return None;
-        }
+        let lattice = Lattice { nu: nu as u32, nv: nv as u32, triangle: base.triangle };
+        let leaf = |cell: &Cell| {
+            let shift = [0, 1].map(|axis| deepest[axis] - cell.levels[axis]);
+            Leaf { cell: *cell, shift, corners: [0; 4] }
+        };
+        let cells = cells.iter().map(leaf).collect();
         let mut leaves = Leaves { of: vec![NONE; lattice.len() as usize], cells, nodes: Vec::new() };
         leaves.number(&lattice);
         Some(Grid { lattice, leaves: Some(Arc::new(leaves)) })
@@ -97,14 +100,18 @@ impl Grid {
     }
 
     /// How often a cell of level 0 was divided for this one.
-    pub fn level(&self, cell: u32) -> u8 {
-        self.leaves.as_ref().map_or(0, |l| l.cells[cell as usize].level)
+    pub fn levels(&self, cell: u32) -> Levels {
+        self.leaves.as_ref().map_or([0, 0], |l| l.cells[cell as usize].cell.levels)
     }
 
     /// Share of the face that a cell has, in (u, v).
     pub fn share(&self, cell: u32) -> f64 {
         let whole = self.lattice.len() as f64;
-        self.leaves.as_ref().map_or(1.0, |l| (1u64 << (2 * l.cells[cell as usize].shift)) as f64) / whole
+        let cells = |l: &Arc<Leaves>| {
+            let [u, v] = l.cells[cell as usize].shift;
+            (1u64 << (u + v)) as f64
+        };
+        self.leaves.as_ref().map_or(1.0, cells) / whole
     }
 
     /// The cell at (u, v), both in [0, 1], u + v <= 1 on a triangle; rounding outside is clamped.
@@ -123,11 +130,8 @@ impl Grid {
     pub fn cell_frame(&self, cell: u32) -> CellFrame {
         let Some(leaves) = &self.leaves else { return self.lattice.cell_frame(cell) };
         let leaf = &leaves.cells[cell as usize];
-        self.coarser(leaf.shift).frame((leaf.iu, leaf.iv, leaf.inverted))
-    }
-
-    fn coarser(&self, shift: u8) -> Lattice {
-        Lattice { nu: self.lattice.nu >> shift, nv: self.lattice.nv >> shift, ..self.lattice }
+        let [nu, nv] = [self.lattice.nu >> leaf.shift[0], self.lattice.nv >> leaf.shift[1]];
+        Lattice { nu, nv, ..self.lattice }.frame(leaf.cell.at)
     }
 
     /// (u, v) of a cell's point for (s, t) uniform in the unit square; uniform in (u, v).
@@ -170,20 +174,21 @@ impl Grid {
         self.leaves.as_ref().map_or_else(|| self.lattice.node_points().collect(), |l| l.nodes.clone())
     }
 
-    /// Ends (local nodes) of cells' edges within which nodes of other cells may hang, each with its cell: along the borders of
-    /// a regular face, all of an adaptive one.
-    pub(super) fn open_edges(&self) -> Vec<(u32, [u32; 2])> {
+    /// Ends (local nodes) of cells' edges within which nodes of other cells may hang, each with its cell and with 0 along u, 1
+    /// along v: along the borders of a regular face, all of an adaptive one.
+    pub(super) fn open_edges(&self) -> Vec<(u32, usize, [u32; 2])> {
         let corners = if self.lattice.triangle { 3 } else { 4 };
         if let Some(leaves) = &self.leaves {
             let edges = |(k, leaf): (usize, &Leaf)| {
                 let c = leaf.corners;
-                (0..corners).map(move |e| (k as u32, [c[e], c[(e + 1) % corners]]))
+                (0..corners).map(move |e| (k as u32, e % 2, [c[e], c[(e + 1) % corners]]))
             };
             return leaves.cells.iter().enumerate().flat_map(edges).collect();
         }
         let node = |edge: usize, k: u32| self.lattice.edge_node(edge, k);
         let along = |edge: usize| {
-            (0..self.lattice.edge_cells(edge)).map(move |k| (NONE, [node(edge, k), node(edge, k + 1)]))
+            let ends = move |k| [node(edge, k), node(edge, k + 1)];
+            (0..self.lattice.edge_cells(edge)).map(move |k| (NONE, edge % 2, ends(k)))
         };
         (0..corners).flat_map(along).collect()
     }
@@ -193,12 +198,13 @@ impl Leaves {
     #[inline]
     fn interpolation(&self, lattice: &Lattice, u: f32, v: f32) -> ([u32; 4], [f32; 4]) {
         let leaf = &self.cells[self.of[lattice.cell(u, v) as usize] as usize];
-        let s = (u * (lattice.nu >> leaf.shift) as f32 - leaf.iu as f32).clamp(0.0, 1.0);
-        let t = (v * (lattice.nv >> leaf.shift) as f32 - leaf.iv as f32).clamp(0.0, 1.0);
+        let (iu, iv, inverted) = leaf.cell.at;
+        let s = (u * (lattice.nu >> leaf.shift[0]) as f32 - iu as f32).clamp(0.0, 1.0);
+        let t = (v * (lattice.nv >> leaf.shift[1]) as f32 - iv as f32).clamp(0.0, 1.0);
         let (p, q) = (1.0 - s, 1.0 - t);
         let weights = if !lattice.triangle {
             [p * q, s * q, s * t, p * t]
-        } else if leaf.inverted {
+        } else if inverted {
             [(s + t - 1.0).max(0.0), p, q, 0.0]
         } else {
             [(p - t).max(0.0), s, t, 0.0]
@@ -210,7 +216,7 @@ impl Leaves {
     fn number(&mut self, lattice: &Lattice) {
         let mut ids = vec![NONE; lattice.node_count() as usize];
         for k in 0..self.cells.len() {
-            let Leaf { iu, iv, inverted, shift, .. } = self.cells[k];
+            let Leaf { cell: Cell { at: (iu, iv, inverted), .. }, shift, .. } = self.cells[k];
             enter(&mut self.of, lattice, (iu, iv, inverted), shift, k as u32);
             let corners = match (lattice.triangle, inverted) {
                 (false, _) => [(iu, iv), (iu + 1, iv), (iu + 1, iv + 1), (iu, iv + 1)],
@@ -218,7 +224,7 @@ impl Leaves {
                 (true, true) => [(iu + 1, iv + 1), (iu, iv + 1), (iu + 1, iv), (iu + 1, iv)],
             };
             self.cells[k].corners = corners.map(|(iu, iv)| {
-                let (iu, iv) = (iu << shift, iv << shift);
+                let (iu, iv) = (iu << shift[0], iv << shift[1]);
                 let id = &mut ids[lattice.node(iu, iv) as usize];
                 if *id == NONE {
                     *id = self.nodes.len() as u32;
@@ -231,43 +237,27 @@ impl Leaves {
     }
 }
 
-/// The four quarters of a cell, in a lattice of half the step.
-fn quarters(triangle: bool, (iu, iv, inverted): CellAt) -> [CellAt; 4] {
+/// The four quarters of a triangle's cell, in a lattice of half the step.
+pub(super) fn quarters((iu, iv, inverted): CellAt) -> [CellAt; 4] {
     let (u, v) = (2 * iu, 2 * iv);
-    match (triangle, inverted) {
-        (false, _) => [(u, v, false), (u + 1, v, false), (u, v + 1, false), (u + 1, v + 1, false)],
-        (true, false) => [(u, v, false), (u + 1, v, false), (u, v + 1, false), (u, v, true)],
-        (true, true) => [(u + 1, v + 1, true), (u, v + 1, true), (u + 1, v, true), (u + 1, v + 1, false)],
-    }
-}
-
-/// Takes the cells within one of level `level` from the levels that are left.
-fn grow(
-    triangle: bool,
-    (at, level): (CellAt, u8),
-    deepest: u8,
-    rest: &mut std::iter::Peekable<impl Iterator<Item = u8>>,
-    cells: &mut Vec<Leaf>,
-) -> Option<()> {
-    match *rest.peek()? {
-        l if l < level => None,
-        l if l == level => {
-            rest.next();
-            let (iu, iv, inverted) = at;
-            cells.push(Leaf { iu, iv, inverted, shift: deepest - level, level, corners: [0; 4] });
-            Some(())
-        }
-        _ => quarters(triangle, at)
-            .iter()
-            .try_for_each(|q| grow(triangle, (*q, level + 1), deepest, rest, cells)),
+    if inverted {
+        [(u + 1, v + 1, true), (u, v + 1, true), (u + 1, v, true), (u + 1, v + 1, false)]
+    } else {
+        [(u, v, false), (u + 1, v, false), (u, v + 1, false), (u, v, true)]
     }
 }
 
 /// Enters a cell in those of the lattice that make it up.
-fn enter(of: &mut [u32], lattice: &Lattice, at: CellAt, shift: u8, cell: u32) {
-    if shift == 0 {
-        of[lattice.number(at) as usize] = cell;
+fn enter(of: &mut [u32], lattice: &Lattice, at: CellAt, [shift_u, shift_v]: Levels, cell: u32) {
+    if lattice.triangle && shift_u > 0 {
+        let shift = [shift_u - 1, shift_v - 1];
+        quarters(at).iter().for_each(|q| enter(of, lattice, *q, shift, cell));
         return;
     }
-    quarters(lattice.triangle, at).iter().for_each(|q| enter(of, lattice, *q, shift - 1, cell));
+    let (iu, iv, inverted) = at;
+    for v in iv << shift_v..(iv + 1) << shift_v {
+        for u in iu << shift_u..(iu + 1) << shift_u {
+            of[lattice.number((u, v, inverted)) as usize] = cell;
+        }
+    }
 }

@@ -10,8 +10,8 @@ mod lattice;
 mod patch;
 mod place;
 
-pub use division::Division;
-pub use grid::Grid;
+pub use division::{Along, Division, Siblings};
+pub use grid::{Grid, Levels};
 use lattice::MOST_ALONG;
 pub use lattice::{CellFrame, Lattice};
 pub use patch::Nodes;
@@ -216,9 +216,9 @@ impl Mesh {
     }
 
     /// How often a cell of the coarsest grid was divided for an element; 0 everywhere on a uniform mesh.
-    pub fn level(&self, element: u32) -> u8 {
+    pub fn levels(&self, element: u32) -> Levels {
         let (face, _, cell) = self.place(element);
-        self.grid(face).level(cell)
+        self.grid(face).levels(cell)
     }
 
     /// The sides that have elements.

@@ -24,8 +24,8 @@ pub struct Nodes {
     count: usize,
     /// In the order in which they are set: ends before what hangs between them.
     hanging: Vec<Hanging>,
-    /// Cells (by face) whose neighbours over some edge have less than half its length.
-    pub(super) steep: Vec<(u32, u32)>,
+    /// Cells (by face) whose neighbours over some edge have less than half its length, and which edge: 0 along u, 1 along v.
+    pub(super) steep: Vec<(u32, u32, usize)>,
 }
 
 /// A node within a coarser neighbour's edge: its value is the mean of two nodes of that edge.
@@ -86,7 +86,7 @@ impl Nodes {
         let points = grid.node_points();
         let edges = grid.open_edges();
         for front in [true, false].into_iter().filter(|front| mesh.first(face, *front) != NONE) {
-            for (cell, ends) in &edges {
+            for (cell, axis, ends) in &edges {
                 // Halves of the edge, and halves of these wherever a node divides them.
                 let whole = ends.map(|e| (self.id(face, front, e) as u32, points[e as usize]));
                 let mut pending = vec![(whole, 1)];
@@ -96,7 +96,7 @@ impl Nodes {
                     let Some(&node) = seen.get(&key) else { continue };
                     self.hanging.push(Hanging { node, ends: [a.0, b.0] });
                     if depth > 1 {
-                        self.steep.push((face, *cell));
+                        self.steep.push((face, *cell, *axis));
                     }
                     pending.extend([([a, (node, uv)], depth + 1), ([(node, uv), b], depth + 1)]);
                 }

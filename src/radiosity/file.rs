@@ -1,13 +1,13 @@
 //! The solution as a file that `numpy.load` opens (DESIGN section 6), and back.
 //!
 //! The file holds what cannot be had again from the scene: the elements follow from the sides that have some and their
-//! size (with `level`, of an adaptive mesh), the nodes from the elements. So a solution that was read is the one that was written, to the bit.
+//! size (with `levels`, of an adaptive mesh), the nodes from the elements. So a solution that was read is the one that was written, to the bit.
 
 use super::reconstruct::Field;
 use super::solve::Convergence;
 use super::{CausticMap, Ledger, ObjectRadiosity, Solution};
 use crate::color::Rgb;
-use crate::mesh::{Division, MOST_ELEMENTS, Mesh, Nodes, Sides};
+use crate::mesh::{Division, Levels, MOST_ELEMENTS, Mesh, Nodes, Sides};
 use crate::npz::{Reader, Writer};
 use crate::scene::Scene;
 use crate::{Error, Result};
@@ -18,7 +18,7 @@ use std::io::{Cursor, Seek, Write};
 use std::path::Path;
 
 /// Number of the layout, and of the rules by which elements and nodes are numbered: changes with either.
-const FORMAT: u32 = 2;
+const FORMAT: u32 = 3;
 /// Bytes of what the file says about itself, at most.
 const MOST_META: u64 = 1 << 24;
 
@@ -69,7 +69,7 @@ impl Solution {
             }
             npz.array("area", &[u64::from(n)], (0..n).map(|e| self.mesh.area(e)))?;
             if self.mesh.is_adaptive() {
-                npz.array("level", &[u64::from(n)], (0..n).map(|e| self.mesh.level(e)))?;
+                npz.array("levels", &[u64::from(n), 2], (0..n).flat_map(|e| self.mesh.levels(e)))?;
             }
             npz.array("object", &[u64::from(n)], faces().map(|f| f.object as i32))?;
             let sides = self.objects.len() as u64;
@@ -271,12 +271,13 @@ impl<'a> Arrays<'a> {
     /// The elements: their levels tell those of an adaptive mesh.
     fn mesh(&mut self, scene: &Scene, sides: &Sides) -> Result<Mesh> {
         let size = self.size("element_size")?;
-        let Some(bytes) = self.bytes("level", MOST_ELEMENTS.into())? else {
+        let Some(bytes) = self.bytes("levels", 2 * u64::from(MOST_ELEMENTS))? else {
             return Mesh::new(scene, sides, size, false);
         };
-        let levels: Vec<u8> = self.values("level", &bytes, None)?;
+        let levels: Vec<u8> = self.values("levels", &bytes, None)?;
+        let levels: Vec<Levels> = levels.chunks_exact(2).map(|l| [l[0], l[1]]).collect();
         let division = Division::of_levels(scene, sides, size, &levels);
-        let division = division.ok_or_else(|| self.damaged("level: no such mesh"))?;
+        let division = division.ok_or_else(|| self.damaged("levels: no such mesh"))?;
         Mesh::divided(scene, sides, &division, false)
     }
 

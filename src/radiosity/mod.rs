@@ -1,6 +1,7 @@
 //! Pass 1: the diffuse light of the whole scene, independent of any view.
 
 mod caustic;
+mod changes;
 mod coarse;
 mod direct;
 mod directional;
@@ -18,13 +19,14 @@ mod trust;
 mod uncertainty;
 
 pub use caustic::{Caustic, CausticMap, trace_particles};
+pub use changes::Changes;
 pub use direct::sample_emitters;
 pub use directional::{Directional, solve_directional};
 pub use file::Kept;
 pub use importance::{Importance, View};
 pub use ledger::Ledger;
 pub use reconstruct::Field;
-pub use refine::{Changes, ElementError, Reads, block_errors, element_errors};
+pub use refine::{ElementError, Judge, Reads, block_errors};
 pub use solve::Convergence;
 pub(crate) use system::LITTLE_LOSS;
 pub use system::System;

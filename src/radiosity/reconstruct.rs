@@ -6,6 +6,7 @@
 
 use crate::color::{self, Rgb};
 use crate::mesh::{Mesh, NONE, Nodes};
+use glam::{DMat3, DVec3};
 
 /// Times that nodes on borders are corrected before the others: they have cells on one side only, and what these lack would be spread.
 const BORDER_CORRECTIONS: usize = 2;
@@ -96,6 +97,61 @@ impl Limits {
     }
 }
 
+/// What each cell counts at its corners: so much that light which changes linearly is brought to a node as it is, where the cells
+/// about it are of one face and all around it; elsewhere the more, the smaller the cell.
+///
+/// Of all such weights those that are closest to inverse areas, weighted least squares: bilinear interpolation between four centroids
+/// on a lattice of unequal steps.
+fn nearness(mesh: &Mesh, corners: &[Corners], open: &[f64], nodes: usize) -> Vec<[f64; 4]> {
+    let size = |e: usize| {
+        let [u, v] = mesh.levels(e as u32);
+        f64::from(u + v).exp2()
+    };
+    // From a corner to the centroid in (u, v), and 1.
+    let inwards = |e: usize, corner: usize| {
+        let (face, _, cell) = mesh.place(e as u32);
+        let (_, a, b) = mesh.grid(face).cell_frame(cell);
+        let p = match (mesh.grid(face).is_triangle(), corner) {
+            (false, 0) => 0.5 * (a + b),
+            (false, 1) => 0.5 * (b - a),
+            (false, 2) => -0.5 * (a + b),
+            (false, _) => 0.5 * (a - b),
+            (true, 0) => (a + b) / 3.0,
+            (true, 1) => (b - 2.0 * a) / 3.0,
+            (true, _) => (a - 2.0 * b) / 3.0,
+        };
+        p.extend(1.0)
+    };
+    let ends: Vec<(usize, usize, usize)> = (0..mesh.len())
+        .filter(|e| open[*e] > 0.0)
+        .flat_map(|e| (0..corners[e].1 as usize).map(move |k| (e, k, corners[e].0[k])))
+        .collect();
+    // The face that has all cells of a node, if one has, and the sums of least squares.
+    let mut sums = vec![(None, true, [DVec3::ZERO; 3]); nodes];
+    for &(e, k, id) in &ends {
+        let (p, face) = (inwards(e, k), mesh.place(e as u32).0);
+        let (first, alone, sum) = &mut sums[id];
+        *alone &= *first.get_or_insert(face) == face;
+        (0..3).for_each(|axis| sum[axis] += open[e] * size(e) * p[axis] * p);
+    }
+    let solution = |(_, alone, sum): &(Option<u32>, bool, [DVec3; 3])| {
+        let m = DMat3::from_cols(sum[0], sum[1], sum[2]);
+        let regular = m.determinant() > 1e-6 * sum[0].x * sum[1].y * sum[2].z;
+        (*alone && regular).then(|| m.inverse() * DVec3::Z)
+    };
+    let mut solutions: Vec<Option<DVec3>> = sums.iter().map(solution).collect();
+    let linear = |e: usize, k: usize, solution: DVec3| open[e] * size(e) * solution.dot(inwards(e, k));
+    for &(e, k, id) in &ends {
+        // A negative weight is that of a node outside of the centroids about it.
+        solutions[id] = solutions[id].filter(|s| linear(e, k, *s) > 0.0);
+    }
+    let mut shares = vec![[0.0; 4]; mesh.len()];
+    for &(e, k, id) in &ends {
+        shares[e][k] = solutions[id].map_or(open[e] * size(e).sqrt(), |s| linear(e, k, s));
+    }
+    shares
+}
+
 impl Field {
     /// Brings one value an element to the nodes; `open` is each element's uncovered share, its weight.
     /// Nodes never go below zero nor beyond the values of the cells around them by more than these differ, or the next ones behind a
@@ -136,20 +192,20 @@ impl Field {
                 (ids, if grid.is_triangle() { 3.0 } else { 4.0 })
             })
             .collect();
-        // Near values count for more: those of smaller cells.
-        let share: Vec<f64> =
-            (0..mesh.len()).map(|e| open[e] * f64::from(1u32 << mesh.level(e as u32))).collect();
+        let shares =
+            if mesh.is_adaptive() { nearness(mesh, &corners, open, nodes.count()) } else { Vec::new() };
+        let share = |e: usize, corner: usize| shares.get(e).map_or(open[e], |s| s[corner]);
         let limits = Limits::new(&corners, nodes.count(), (open, values), noise);
         let mut weight = vec![0.0; nodes.count()];
         for (e, (ids, count)) in corners.iter().enumerate().filter(|(e, _)| open[*e] > 0.0) {
-            ids[..*count as usize].iter().for_each(|id| weight[*id] += share[e]);
+            ids[..*count as usize].iter().enumerate().for_each(|(k, id)| weight[*id] += share(e, k));
         }
         let spread = |per_element: &dyn Fn(usize) -> Rgb| -> Vec<Rgb> {
             let mut sum = vec![Rgb::ZERO; nodes.count()];
             for (e, (ids, count)) in corners.iter().enumerate().filter(|(e, _)| open[*e] > 0.0) {
-                let v = per_element(e) * share[e];
-                for &id in &ids[..*count as usize] {
-                    sum[id] += v;
+                let v = per_element(e);
+                for (k, &id) in ids[..*count as usize].iter().enumerate() {
+                    sum[id] += share(e, k) * v;
                 }
             }
             for (s, w) in sum.iter_mut().zip(&weight) {
@@ -162,8 +218,9 @@ impl Field {
         let mut variance = vec![0.0; nodes.count()];
         if let Some(noise) = noise {
             for (e, (ids, count)) in corners.iter().enumerate().filter(|(e, _)| open[*e] > 0.0) {
-                let own = (share[e] * noise(e)).powi(2);
-                ids[..*count as usize].iter().for_each(|id| variance[*id] += own / weight[*id].powi(2));
+                for (k, &id) in ids[..*count as usize].iter().enumerate() {
+                    variance[id] += (share(e, k) * noise(e) / weight[id]).powi(2);
+                }
             }
         }
         let fine = |missing: Rgb, variance: f64| {

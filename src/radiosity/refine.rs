@@ -1,27 +1,42 @@
 //! How wrong the light of each element is: where an adaptive mesh needs finer ones.
 //!
-//! What a mesh whose cells are all a level coarser would have shown is known: the same light, averaged over its larger cells and
-//! interpolated between them. How far that is from what the elements show (the hierarchical surplus, over all of an element: at its
-//! centroid alone, smooth light is nearly right whatever the level) bounds what the next level
-//! would change: by theory a quarter of it where light is smooth, a half across an edge, and so alike for elements that
-//! compete. Of it, what the noise of the elements explains says nothing about their size.
+//! Light is interpolated between the nodes of elements. What that misses along an edge of a cell, the second difference of the light
+//! shown tells, by steps of that edge: over its cell, light that changes as a square is wrong by a mean square of a 120th of the
+//! difference's. Of it, what the noise of the elements explains says nothing about their size. Beside the edge of a face, where
+//! other faces meet it, light falls off faster than any square, and no difference can be taken about the last cell: what the next ones
+//! say counts more there.
 //!
 //! What elements send on is their mean light. It is sent wrong where an element is brighter in one part and what its parts send is worth
-//! more in one ([`Importance`]): by the covariance of both, which a coarser cell has over its quarters. Behind a lamp close under a
+//! more in one ([`Importance`]): by the covariance of both. Behind a lamp close under a
 //! ceiling, where what is sent is lost and no light arrives, that is what matters.
+//!
+//! Errors are by how much those of a cell of twice the length would be larger, which is what joining it with its neighbour would cost.
 
 use super::{Field, Importance, Solution, share_of_error};
 use crate::color::{self, Rgb};
-use crate::mesh::{Division, Mesh, NONE, Nodes};
-use crate::scene::Scene;
+use crate::mesh::{CellFrame, Division, NONE, Siblings};
 use glam::DVec2;
+use rayon::prelude::*;
 use std::collections::HashMap;
 
-/// What division leaves of an edge's squared error.
-const HALF: f64 = 0.5;
+/// Mean square of what interpolation misses over a cell of twice the length, less that of the cell, over the squared second difference.
+const MISSED: f64 = (4.0 * 4.0 - 4.0 - 4.0 + 1.0) / 120.0;
 
-/// Share of the error that may be left of which joining cells may add.
-const NEEDLESS: f64 = 0.05;
+/// Covariance over a cell of twice the length, less that of the cell, over the product of the differences from end to end.
+const COVARIANCE: f64 = (4.0 - 1.0) / 12.0;
+
+/// Times that errors beside the edge of a quad count, where other faces meet it: those beside an edge of a triangle may have its
+/// like behind it. Cornell box and corridor, quality mesh: with 1 a tenth to a fourth more elements at equal error.
+const BESIDE_EDGE: f64 = 4.0;
+
+/// Variance of a second difference of values of variance 1.
+const OF_DIFFERENCE: f64 = 1.0 + 4.0 + 1.0;
+
+/// Times its variance that a squared difference must be to say anything.
+const SIGNIFICANT: f64 = 2.0;
+
+/// Where Gauss's rule of two points has them on an interval of length 1 about 0.
+const GAUSS: [f64; 2] = [-0.288_675_134_594_812_9, 0.288_675_134_594_812_9];
 
 /// What pass 2 reads of pass 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -32,7 +47,7 @@ pub enum Reads {
     Indirect,
 }
 
-/// How wrong one element's light is, as the coarser level lets expect up to a factor that all have in common.
+/// How wrong one element's light is for want of division along one edge, up to a factor that all have in common.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct ElementError {
     /// What it adds to the relative squared error of all light and of the pictures where it is shown.
@@ -42,86 +57,174 @@ pub struct ElementError {
 }
 
 impl ElementError {
-    fn plus(self, other: ElementError, times: f64) -> ElementError {
+    pub(super) fn plus(self, other: ElementError, times: f64) -> ElementError {
         ElementError { shown: self.shown + times * other.shown, sent: self.sent + times * other.sent }
-    }
-
-    /// Squared relative error of a sum, were all that is sent wrong in the same sense.
-    fn square(self) -> f64 {
-        self.shown + self.sent * self.sent
     }
 }
 
-/// The errors of all elements; zero on elements of level 0. `division` is that of the solution's mesh.
-///
-/// # Errors
-/// As [`Mesh::divided`].
-pub fn element_errors(
-    scene: &Scene,
-    division: &Division,
-    solution: &Solution,
-    importance: &Importance,
-    reads: Reads,
-) -> crate::Result<Vec<ElementError>> {
-    let mesh = &solution.mesh;
-    let field = match reads {
-        Reads::Reflected => &solution.reflected,
-        Reads::Indirect => &solution.indirect,
-    };
-    let sides = mesh.sides();
-    let Importance { area, shown: weight, .. } = importance;
-    let shown: Vec<Rgb> =
-        (0..mesh.len() as u32).map(|e| at_centroid(field, (mesh, &solution.nodes), mesh, e)).collect();
-    let sent: Vec<Rgb> = (0..mesh.len()).map(|e| solution.reflected_radiosity(e)).collect();
-    let share = |e: usize| share_of_error(shown[e], sent[e]);
-    let noise: Vec<f64> =
-        (0..mesh.len()).map(|e| color::mean(solution.standard_error[e]) * share(e)).collect();
-    let mut errors = vec![ElementError::default(); mesh.len()];
-    for level in 1..=division.deepest() {
-        let (coarse, within) = division.truncated(level - 1);
-        let coarse = Mesh::divided(scene, &sides, &coarse, false)?;
-        let parent: Vec<usize> = (0..mesh.len() as u32)
-            .map(|e| {
-                let (face, front, cell) = mesh.place(e);
-                (coarse.first(face, front) + within[face as usize][cell as usize]) as usize
-            })
-            .collect();
-        let mut covered = vec![0.0; coarse.len()];
-        parent.iter().zip(area).for_each(|(p, a)| covered[*p] += a);
-        let shown_means = means(&parent, (area, &covered), &shown);
-        let sent_wrong = sent_errors(&parent, (area, &covered), &sent, &importance.sent);
-        let nodes = Nodes::new(scene, &coarse);
-        let open: Vec<f64> =
-            covered.iter().enumerate().map(|(p, area)| area / coarse.area(p as u32)).collect();
-        let mut variance = vec![0.0; coarse.len()];
-        for (e, p) in parent.iter().enumerate().filter(|(_, p)| covered[**p] > 0.0) {
-            variance[*p] += (noise[e] * area[e] / covered[*p]).powi(2);
+/// A cell or one that several would make up: face, front side, members, and centroid and edges in (u, v).
+struct Part<'a> {
+    side: (u32, bool),
+    members: &'a [u32],
+    frame: CellFrame,
+}
+
+/// What tells the errors of a solution's elements.
+pub struct Judge<'a> {
+    solution: &'a Solution,
+    importance: &'a Importance,
+    /// What pictures show.
+    field: &'a Field,
+    /// What sent power is worth.
+    worth: Field,
+}
+
+impl Judge<'_> {
+    /// Of elements and what they are worth.
+    pub fn new<'a>(solution: &'a Solution, importance: &'a Importance, reads: Reads) -> Judge<'a> {
+        let mesh = &solution.mesh;
+        let field = match reads {
+            Reads::Reflected => &solution.reflected,
+            Reads::Indirect => &solution.indirect,
+        };
+        let open: Vec<f64> = (0..mesh.len()).map(|e| importance.area[e] / mesh.area(e as u32)).collect();
+        let worth = Field::new(mesh, &solution.nodes, &open, &importance.sent);
+        Judge { solution, importance, field, worth }
+    }
+
+    /// The errors of all elements for want of division along either edge of their cells; those of a triangle, which are divided along
+    /// both, are in the first. `division` is that of the solution's mesh.
+    pub fn elements(&self, division: &Division) -> Vec<[ElementError; 2]> {
+        let mesh = &self.solution.mesh;
+        let of_element = |e: u32| {
+            let (face, front, cell) = mesh.place(e);
+            let grid = mesh.grid(face);
+            let (_, a, b) = grid.cell_frame(cell);
+            let part = Part { side: (face, front), members: &[cell], frame: (grid.centroid(cell), a, b) };
+            let may = division.levels_left(face, cell).map(|levels| levels > 0);
+            if grid.is_triangle() {
+                [self.triangle(&part, may[0]), ElementError::default()]
+            } else {
+                [self.along(&part, 0, may[0]), self.along(&part, 1, may[1])]
+            }
+        };
+        (0..mesh.len() as u32).into_par_iter().map(of_element).collect()
+    }
+
+    /// The error of the cell that siblings were divided from, were they joined, on both sides of their face.
+    pub fn joined(&self, siblings: &Siblings) -> ElementError {
+        let Siblings { face, cells, along } = siblings;
+        let mesh = &self.solution.mesh;
+        let grid = mesh.grid(*face);
+        let centroid = cells.iter().map(|c| grid.centroid(*c)).sum::<DVec2>() / cells.len() as f64;
+        let (_, a, b) = grid.cell_frame(cells[0]);
+        let [u, v] = along.map(|joined| if joined { 2.0 } else { 1.0 });
+        let sides = [true, false].into_iter().filter(|front| mesh.first(*face, *front) != NONE);
+        let errors = sides.map(|front| {
+            let part = Part { side: (*face, front), members: cells, frame: (centroid, u * a, v * b) };
+            if grid.is_triangle() {
+                self.triangle(&part, true)
+            } else {
+                self.along(&part, usize::from(along[1]), true)
+            }
+        });
+        errors.fold(ElementError::default(), |sum, e| sum.plus(e, 1.0))
+    }
+
+    /// The error along an edge of a quad's cell, 0 or 1; where `divisible`, also of one that has not two others beside it.
+    fn along(&self, part: &Part, edge: usize, divisible: bool) -> ElementError {
+        let (centroid, a, b) = part.frame;
+        let (along, across) = if edge == 0 { (a, b) } else { (b, a) };
+        let square = GAUSS.map(|t| {
+            let (difference, times) = self.second_difference(part, centroid + t * across, along, divisible);
+            times * color::mean(difference * difference)
+        });
+        let sent = self.sent(part, along);
+        ElementError { shown: self.shown(part, (square[0] + square[1]) / 2.0), sent }
+    }
+
+    /// The error along both edges of a triangle's cell.
+    ///
+    /// Between the corners of a triangle, what is missed at barycentric coordinates l is half the sum of `l_i l_k d_ik` with the second
+    /// differences d along its three edges.
+    fn triangle(&self, part: &Part, divisible: bool) -> ElementError {
+        let (centroid, a, b) = part.frame;
+        let differences = [a, b, b - a].map(|edge| {
+            let (difference, times) = self.second_difference(part, centroid, edge, divisible);
+            times.sqrt() * difference
+        });
+        let sum: Rgb = differences.iter().sum();
+        let squares: Rgb = differences.iter().map(|d| d * d).sum();
+        let square = color::mean(sum * sum + squares) / 6.0;
+        ElementError { shown: self.shown(part, square), sent: self.sent(part, a) + self.sent(part, b) }
+    }
+
+    /// What second differences of a mean `square` mean for what is shown.
+    fn shown(&self, part: &Part, square: f64) -> f64 {
+        let (solution, (centroid, ..)) = (self.solution, part.frame);
+        let first = solution.mesh.first(part.side.0, part.side.1);
+        let elements = || part.members.iter().map(|cell| (first + cell) as usize);
+        let weight: f64 = elements().map(|e| self.importance.shown[e]).sum();
+        if square <= 0.0 || weight <= 0.0 {
+            return 0.0;
         }
-        let before = Field::noisy(&coarse, &nodes, &open, &shown_means, &|p| variance[p].sqrt());
-        // Sums over the quarters of each coarser cell: of the squares, and of what noise makes of them.
-        let mut sums = vec![(0.0, 0.0); coarse.len()];
-        for e in (0..mesh.len()).filter(|e| mesh.level(*e as u32) == level) {
-            let fields = [(field, mesh, &solution.nodes), (&before, &coarse, &nodes)];
-            let surplus = mean_square(mesh, e as u32, |face, u, v| {
-                let [fine, before] =
-                    fields.map(|(f, of, nodes)| f.at(of, nodes, face, u, v).unwrap_or_default());
-                fine - before
-            });
-            let noise =
-                color::mean(solution.standard_error[e] * solution.standard_error[e]) * share(e).powi(2);
-            errors[e].shown = weight[e] * color::mean(surplus);
-            sums[parent[e]].0 += errors[e].shown;
-            sums[parent[e]].1 += weight[e] * if noise.is_finite() { noise } else { 0.0 };
-            errors[e].sent = sent_wrong[e];
-        }
-        for e in (0..mesh.len()).filter(|e| mesh.level(*e as u32) == level) {
-            let (square, noise) = sums[parent[e]];
-            if square > 0.0 {
-                errors[e].shown *= (1.0 - noise / square).max(0.0);
+        let shown = self.read(self.field, part.side, centroid);
+        let variance = |e: usize| {
+            let share = share_of_error(shown, solution.reflected_radiosity(e));
+            color::mean(solution.standard_error[e] * solution.standard_error[e]) * share.powi(2)
+        };
+        let noise = elements().map(variance).sum::<f64>() / (part.members.len() as f64).powi(2);
+        // Where noise hides what joining would cost, nothing is to be joined.
+        let told = part.members.len() == 1 && noise.is_finite();
+        let noise = if told { SIGNIFICANT * OF_DIFFERENCE * noise } else { 0.0 };
+        MISSED * weight * (square - noise).max(0.0)
+    }
+
+    /// What sending the mean light of a cell makes wrong that changes along an edge.
+    fn sent(&self, part: &Part, edge: DVec2) -> f64 {
+        let (centroid, ..) = part.frame;
+        let change = |field: &Field| {
+            let [a, b] = [-0.5, 0.5].map(|t| self.read(field, part.side, centroid + t * edge));
+            b - a
+        };
+        let first = self.solution.mesh.first(part.side.0, part.side.1);
+        let area: f64 = part.members.iter().map(|cell| self.importance.area[(first + cell) as usize]).sum();
+        COVARIANCE * area * color::mean((change(&self.solution.reflected) * change(&self.worth)).abs())
+    }
+
+    fn read(&self, field: &Field, side: (u32, bool), uv: DVec2) -> Rgb {
+        let Solution { mesh, nodes, .. } = self.solution;
+        field.at(mesh, nodes, side, uv.x as f32, uv.y as f32).unwrap_or_default()
+    }
+
+    /// The second difference of what is shown about a point by steps of `edge`, and how many times it counts.
+    ///
+    /// Where a step leads off the face or to an element that is covered, the difference is about the next point. Where both do, nothing
+    /// but the difference from end to end is known, which says something of cells that may be divided alone.
+    fn second_difference(&self, part: &Part, point: DVec2, edge: DVec2, divisible: bool) -> (Rgb, f64) {
+        let (mesh, side) = (&self.solution.mesh, part.side);
+        let triangle = mesh.grid(side.0).is_triangle();
+        let at = |uv: DVec2| {
+            let far = if triangle { uv.x + uv.y } else { uv.max_element() };
+            let known = uv.min_element() >= 0.0
+                && far <= 1.0
+                && self.importance.area[mesh.element(side.0, side.1, uv.x as f32, uv.y as f32) as usize]
+                    > 0.0;
+            known.then(|| self.read(self.field, side, uv))
+        };
+        for shift in [0.0, 1.0, -1.0] {
+            let values = [-1.0, 0.0, 1.0].map(|k| at(point + (k + shift) * edge));
+            if let [Some(a), Some(b), Some(c)] = values {
+                return (a - 2.0 * b + c, if shift == 0.0 || triangle { 1.0 } else { BESIDE_EDGE });
             }
         }
+        // Just within the cell: rounding must not lead beyond the face.
+        let ends = [-0.499, 0.499].map(|t| at(point + t * edge));
+        match ends {
+            [Some(a), Some(b)] if divisible => (b - a, BESIDE_EDGE),
+            _ => (Rgb::ZERO, 0.0),
+        }
     }
-    Ok(errors)
 }
 
 /// What the elements of a regular mesh make wrong of the light elsewhere, in relation to that light, as blocks of two by two let
@@ -160,100 +263,4 @@ fn means(group: &[usize], (area, covered): (&[f64], &[f64]), of: &[Rgb]) -> Vec<
     }
     let mean = |(sum, area): (&Rgb, &f64)| if *area > 0.0 { *sum / *area } else { Rgb::ZERO };
     sums.iter().zip(covered).map(mean).collect()
-}
-
-/// Mean over an element of the square of what `f` gives by side and place, linear on triangles and bilinear on quads.
-fn mean_square(mesh: &Mesh, element: u32, f: impl Fn((u32, bool), f32, f32) -> Rgb) -> Rgb {
-    let (face, front, cell) = mesh.place(element);
-    let grid = mesh.grid(face);
-    let (o, a, b) = grid.cell_frame(cell);
-    let at = |uv: DVec2| f((face, front), uv.x as f32, uv.y as f32);
-    let (f0, fa, fb) = (at(o), at(o + a), at(o + b));
-    if grid.is_triangle() {
-        let sum = f0 + fa + fb;
-        return (f0 * f0 + fa * fa + fb * fb + sum * sum) / 12.0;
-    }
-    let fab = at(o + a + b);
-    // Simpson's rule along both edges, exact for what is bilinear and squared.
-    let line = |p: Rgb, q: Rgb| p * p + q * q + (p + q) * (p + q);
-    (line(f0, fa) + line(fb, fab) + line(f0 + fb, fa + fab)) / 36.0
-}
-
-/// A field of any mesh at the centroid of an element of another.
-fn at_centroid(field: &Field, (of, nodes): (&Mesh, &Nodes), mesh: &Mesh, element: u32) -> Rgb {
-    let (face, front, cell) = mesh.place(element);
-    let uv = mesh.grid(face).centroid(cell);
-    field.at(of, nodes, (face, front), uv.x as f32, uv.y as f32).unwrap_or_default()
-}
-
-/// What to do with the cells of a division, by (face, cell) in order.
-pub struct Changes {
-    /// Cells to divide: the fewest that leave to others that may be divided no more than a number of times the error that the finest
-    /// mesh would have, were it all along edges.
-    pub divide: Vec<(u32, u32)>,
-    /// First quarters of cells that need not have been divided.
-    pub join: Vec<(u32, u32)>,
-    /// How many times what may be left there is now.
-    pub excess: f64,
-}
-
-impl Changes {
-    /// Changes by the elements' errors; `rest` is the number of times; without `joins` none is joined. The sides of a face share its
-    /// cells.
-    pub fn new(mesh: &Mesh, division: &Division, errors: &[ElementError], rest: f64, joins: bool) -> Changes {
-        let mut own: HashMap<(u32, u32), ElementError> = HashMap::new();
-        let mut cells: Vec<(ElementError, (u32, u32))> = Vec::new();
-        let (mut left, mut finest) = (ElementError::default(), ElementError::default());
-        for e in 0..mesh.len() as u32 {
-            let (face, front, cell) = mesh.place(e);
-            if !front && mesh.first(face, true) != NONE {
-                continue;
-            }
-            let mut error = errors[e as usize];
-            let behind = if front { mesh.opposite(e) } else { NONE };
-            if behind != NONE {
-                error = error.plus(errors[behind as usize], 1.0);
-            }
-            own.insert((face, cell), error);
-            let levels = division.levels_left(face, cell);
-            finest = finest.plus(error, HALF.powi(levels.into()));
-            if levels > 0 {
-                cells.push((error, (face, cell)));
-                left = left.plus(error, 1.0);
-            }
-        }
-        let allowed = rest * finest.square();
-        let now = left.square();
-        let excess = if now > 0.0 { now / allowed } else { 0.0 };
-        // What a cell has of the squared error, to first order.
-        let slope = 2.0 * left.sent;
-        let part = |e: &ElementError| e.shown + slope * e.sent;
-        cells.retain(|(e, _)| part(e) > 0.0);
-        cells.sort_by(|a, b| part(&b.0).total_cmp(&part(&a.0)).then(a.1.cmp(&b.1)));
-        let mut divide = Vec::new();
-        for (error, at) in cells {
-            if left.square() <= allowed {
-                break;
-            }
-            left = left.plus(error, -1.0);
-            divide.push(at);
-        }
-        divide.sort_unstable();
-        let all = |(face, cell): (u32, u32)| -> f64 {
-            (cell..cell + 4).filter_map(|c| own.get(&(face, c))).map(part).sum()
-        };
-        let quarters = if joins { division.quarters() } else { Vec::new() };
-        let mut quarters: Vec<_> = quarters.into_iter().map(|at| (all(at), at)).collect();
-        quarters.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let (mut join, mut lost) = (Vec::new(), 0.0);
-        for (error, at) in quarters {
-            lost += error;
-            if lost > NEEDLESS * allowed {
-                break;
-            }
-            join.push(at);
-        }
-        join.sort_unstable();
-        Changes { divide, join, excess }
-    }
 }
