@@ -27,6 +27,8 @@ const REST: f64 = 2.0;
 const LITTLE: usize = 10;
 /// How many times what may be left is nearly that.
 const NEARLY: f64 = 1.1;
+/// Two passes in turn that leave as many elements as there were, but for less than this part, join what they divide.
+const STALLED: usize = 200;
 
 /// Rays of all cameras that tell how much of the pictures each element fills. With a 256th of them, small elements have one or none, and
 /// the pictures of `scenes/cornell` need 1.1 to 1.3 times as many elements.
@@ -68,11 +70,14 @@ pub fn solve(
     let rays = (settings.rays / LOOK).max(LEAST_RAYS).min(settings.rays);
     // Of few rays, the passes that look cast them all, and one of them is the last.
     let few = rays == settings.rays;
-    let (mut pass, mut last, mut passes) = (Pass1 { rays, ..*settings }, false, 0);
+    let (mut passes, mut stalled, mut before) = (0, 0, 0);
+    let (mut pass, mut last) = (Pass1 { rays, ..*settings }, false);
     loop {
         let mesh = pipeline::building(stages, || Mesh::divided(scene, &reached, &division, false))?;
         let elements = mesh.len();
         passes += 1;
+        stalled = if elements.abs_diff(before) <= elements / STALLED { stalled + 1 } else { 0 };
+        before = elements;
         if adapted.elements.last() != Some(&elements) {
             adapted.elements.push(elements);
         }
@@ -93,6 +98,7 @@ pub fn solve(
                 Changes::new(&s.mesh, &division, &judge, &errors, REST);
             let little = |cells: usize| cells <= elements / LITTLE;
             let enough = passes >= MOST_PASSES
+                || stalled >= 2
                 || (added == 0 || little(added) && excess < NEARLY) && little(join.len());
             // What is little is done where another solve follows anyway.
             if !(enough && few) {

@@ -518,7 +518,7 @@ fn importance_has_its_closed_form_in_a_furnace() {
     let device = device();
     let visibility = Visibility::new(&device, &scene).unwrap();
     let emitters = Emitters::new(&visibility);
-    let settings = Pass1 { rays: 256, element_size: Some(0.2), seed: 0 };
+    let settings = Pass1 { rays: 4096, element_size: Some(0.2), seed: 0 };
     let light = 0.6 / 0.4;
     for cameras in [&scene.cameras[..0], &scene.cameras[..]] {
         let what = (&settings, Reads::Reflected);

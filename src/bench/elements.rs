@@ -37,7 +37,7 @@ pub fn run(context: &Context) -> Result<Measurements> {
         Plan {
             name: "cornell",
             rays: 4096,
-            sizes: [&[0.08, 0.056, 0.04, 0.028, 0.02, 0.014, 0.012], &[0.056, 0.04, 0.02, 0.01]],
+            sizes: [&[0.08, 0.056, 0.04, 0.028, 0.02, 0.014, 0.012], &[0.04, 0.02, 0.014, 0.01, 0.007]],
         },
         Plan {
             name: "corridor",

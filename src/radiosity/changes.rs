@@ -1,5 +1,6 @@
 //! Which cells of an adaptive mesh to divide and which to join.
 
+use super::trust::MUCH;
 use super::{ElementError, Judge};
 use crate::mesh::{Along, Division, Mesh, NONE, Siblings};
 use rustc_hash::{FxHashMap, FxHashSet};
@@ -32,7 +33,7 @@ pub struct Changes {
     pub join: Vec<Siblings>,
     /// How many cells that adds, as far as dividing does not ask for others.
     pub added: usize,
-    /// How many times what may be left there is now.
+    /// How many times what may be left there is now, of squared errors.
     pub excess: f64,
 }
 
@@ -66,8 +67,13 @@ impl Changes {
             }
         }
         let allowed = rest * square(finest);
-        let now = square(left);
-        let excess = if now > 0.0 { now / allowed } else { 0.0 };
+        // Nor more light in wrong places than what a warning is for, while cells may be divided.
+        let astray = MUCH.max(rest.sqrt() * finest.sent);
+        let over = |left: ElementError| {
+            let times = |of: f64, allowed: f64| if of > 0.0 { of / allowed } else { 0.0 };
+            times(square(left), allowed).max(times(left.sent, astray).powi(2))
+        };
+        let excess = over(left);
         // What a cell has of the squared error, to first order.
         let slope = 2.0 * TOGETHER * TOGETHER * left.sent;
         let part = |e: &ElementError| e.shown + slope * e.sent;
@@ -78,38 +84,41 @@ impl Changes {
         let mut divide: FxHashMap<(u32, u32), Along> = FxHashMap::default();
         let mut added = 0;
         for (error, at, axis) in cells {
-            if square(left) <= allowed {
+            if over(left) <= 1.0 {
                 break;
             }
             left = left.plus(error, -1.0);
             divide.entry(at).or_default()[axis] = true;
             added += cost(at.0);
         }
-        let join = needless(division, &divide, |s| part(&judge.joined(s)), NEEDLESS * allowed);
+        let error = |s: &Siblings| judge.joined(s);
+        let little = |lost: ElementError| part(&lost) <= NEEDLESS * allowed && lost.sent <= NEEDLESS * astray;
+        let join = needless(division, &divide, (error, part), little);
         Changes { divide, join, added, excess }
     }
 }
 
-/// The cells to join whose errors, joined, are least and together no more than `most`; each once, and none that is divided.
+/// The cells to join whose errors, joined, are least and together `little`; each once, and none that is divided. Errors are compared by
+/// what `part` says of them.
 fn needless(
     division: &Division,
     divide: &FxHashMap<(u32, u32), Along>,
-    error: impl Fn(&Siblings) -> f64,
-    most: f64,
+    (error, part): (impl Fn(&Siblings) -> ElementError, impl Fn(&ElementError) -> f64),
+    little: impl Fn(ElementError) -> bool,
 ) -> Vec<Siblings> {
     let mut siblings: Vec<_> = division.siblings().into_iter().map(|s| (error(&s), s)).collect();
     siblings.sort_by(|a, b| {
         let order = |s: &Siblings| (s.face, s.cells[0], s.along);
-        a.0.total_cmp(&b.0).then_with(|| order(&a.1).cmp(&order(&b.1)))
+        part(&a.0).total_cmp(&part(&b.0)).then_with(|| order(&a.1).cmp(&order(&b.1)))
     });
-    let (mut join, mut lost, mut taken) = (Vec::new(), 0.0, FxHashSet::default());
+    let (mut join, mut lost, mut taken) = (Vec::new(), ElementError::default(), FxHashSet::default());
     for (error, s) in siblings {
         let free = |cell: &u32| !taken.contains(&(s.face, *cell)) && !divide.contains_key(&(s.face, *cell));
         if !s.cells.iter().all(free) {
             continue;
         }
-        lost += error;
-        if lost > most {
+        lost = lost.plus(error, 1.0);
+        if !little(lost) {
             break;
         }
         taken.extend(s.cells.iter().map(|cell| (s.face, *cell)));

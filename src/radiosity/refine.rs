@@ -19,8 +19,8 @@ use glam::DVec2;
 use rayon::prelude::*;
 use std::collections::HashMap;
 
-/// Mean square of what interpolation misses over a cell of twice the length, less that of the cell, over the squared second difference.
-const MISSED: f64 = (4.0 * 4.0 - 4.0 - 4.0 + 1.0) / 120.0;
+/// Mean square of what interpolation misses more over a cell of twice the length, over the squared second difference.
+const MISSED: f64 = (4.0 - 1.0) * (4.0 - 1.0) / 120.0;
 
 /// Covariance over a cell of twice the length, less that of the cell, over the product of the differences from end to end.
 const COVARIANCE: f64 = (4.0 - 1.0) / 12.0;

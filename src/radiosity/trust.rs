@@ -17,7 +17,7 @@ const CRACK: f64 = 1e-3;
 const BALANCED: f64 = 1e-3;
 /// Relative error of all light from elements that are too large that is said. As the coarser level lets expect it, it is three times
 /// what it is in rooms with a lamp close under the ceiling.
-const MUCH: f64 = 0.03;
+pub(super) const MUCH: f64 = 0.03;
 /// Objects named in one warning.
 const NAMED: usize = 5;
 
