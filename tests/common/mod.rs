@@ -239,3 +239,11 @@ pub fn opposed(a: f64, b: f64, c: f64) -> f64 {
         - y * y.atan();
     2.0 / (std::f64::consts::PI * x * y) * terms
 }
+
+/// A number in [0, 1) that looks random (SplitMix64).
+pub fn noise(k: u64) -> f64 {
+    let mut z = (k + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+}
