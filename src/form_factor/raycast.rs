@@ -15,7 +15,7 @@ use super::immersed::{Immersed, settle};
 use super::landing::{ABSORBED, EMITTER, ESCAPED, SPECULAR, Targets, UNREACHED};
 use super::matrix::{ExchangeMatrix, RowSummary};
 use super::rows::{Block, Builder};
-use super::source::{Lanes, groups, lane, share_packets};
+use super::source::{Lanes, groups, lane, shared};
 use super::specular::Chains;
 use super::tally::{Counts, Tally};
 use crate::color::Rgb;
@@ -322,17 +322,15 @@ impl<'a, 's> Caster<'a, 's> {
         scratch.chained.clear();
         scratch.fates.clear();
         scratch.fates.resize(m * batches, Fate::default());
-        let together = if share_packets(&self.table) { m } else { 1 };
-        let mut parts: Vec<Lanes> = elements
-            .chunks(together.max(1))
-            .map(|part| Lanes::new(self.visibility, self.mesh, part.iter().copied()))
+        let mut parts: Vec<(usize, Lanes)> = shared(m, &self.table)
+            .map(|part| (part.start, Lanes::new(self.visibility, self.mesh, elements[part].iter().copied())))
             .collect();
         for batch in 0..self.batches {
             let scramble = Scramble::new(seed_of(&[self.casting.seed, first, batch]));
             self.table.scramble(&scramble, &mut scratch.points);
-            for (k, lanes) in parts.iter_mut().enumerate() {
+            for (offset, lanes) in &mut parts {
                 lanes.shift(self.casting.seed, batch, self.table.shared_bits());
-                self.arch.dispatch(Packets { caster: self, scratch, lanes, offset: k * together, batch });
+                self.arch.dispatch(Packets { caster: self, scratch, lanes, offset: *offset, batch });
             }
         }
         scratch.chained.sort_by_key(|c| c.0);

@@ -171,19 +171,27 @@ impl Lanes {
         })
     }
 
+    /// Coordinates of the points that are due by lane.
+    #[inline(always)]
+    fn spread(&self, due: &[u32]) -> [u32; LANES] {
+        match (due.len() >= self.points_a_packet(), self.width) {
+            (true, 16) => repeated::<16>(due),
+            (true, 8) => repeated::<8>(due),
+            (true, 4) => repeated::<4>(due),
+            (true, 2) => repeated::<2>(due),
+            (true, _) => repeated::<1>(due),
+            (false, _) => std::array::from_fn(|l| due[self.place(l).1.min(due.len() - 1)]),
+        }
+    }
+
     /// The rays of the points from `first` on.
     #[inline(always)]
     pub(super) fn rays(&self, points: &ScrambledPoints, first: usize) -> RayLanes {
         let mut p = [[0.0f32; LANES]; 4];
         for (d, (lanes, shift)) in p.iter_mut().zip(&self.shift).enumerate() {
-            let all = points.coordinate(d);
-            if self.width == LANES {
-                let x = all[first];
-                lanes.iter_mut().zip(shift).for_each(|(lane, s)| *lane = unit(x ^ s));
-            } else {
-                for (l, (lane, s)) in lanes.iter_mut().zip(shift).enumerate() {
-                    *lane = unit(all[(first + l / self.width).min(all.len() - 1)] ^ s);
-                }
+            let x = self.spread(&points.coordinate(d)[first..]);
+            for ((lane, s), x) in lanes.iter_mut().zip(shift).zip(x) {
+                *lane = unit(x ^ s);
             }
         }
         let mut rays = RayLanes { origin: [[0.0; LANES]; 3], direction: [[0.0; LANES]; 3] };
@@ -224,6 +232,13 @@ impl Lanes {
     }
 }
 
+/// Each number `WIDTH` times, which is known when this is compiled: lanes are filled whole registers at a time.
+#[inline(always)]
+fn repeated<const WIDTH: usize>(due: &[u32]) -> [u32; LANES] {
+    let due = &due[..LANES / WIDTH];
+    std::array::from_fn(|l| due[l / WIDTH])
+}
+
 /// x in [0, 1] for `r` uniform there, with a density that goes linearly from `1 - slope` at 0 to `1 + slope` at 1.
 #[inline(always)]
 fn linear(slope: f32, r: f32) -> f32 {
@@ -238,9 +253,17 @@ pub(super) fn lane(rays: &RayLanes, k: usize) -> (Vec3, Vec3) {
     (at(&rays.origin), at(&rays.direction))
 }
 
-/// Whether elements of a group share packets: their common cell of directions is narrower than that of 16 rays of one.
-pub(super) fn share_packets(table: &SobolTable) -> bool {
-    (LANES << (2 * table.shared_bits())) > table.len()
+/// Which of `m` elements of a group share packets: powers of two, so that each packet is full; each alone where 16 rays of one
+/// element have a narrower cone than the common cell of directions.
+pub(super) fn shared(m: usize, table: &SobolTable) -> impl Iterator<Item = Range<usize>> {
+    let most = if (LANES << (2 * table.shared_bits())) > table.len() { LANES } else { 1 };
+    let mut next = 0;
+    std::iter::from_fn(move || {
+        let first = next;
+        let left = (m - first).checked_ilog2()?;
+        next += most.min(1 << left);
+        Some(first..next)
+    })
 }
 
 /// The packets that [`super::cast`] casts from a run of elements in the first randomisation of their rows, in the same
@@ -256,10 +279,8 @@ pub fn packets_of(
     let (mut packets, mut points) = (Vec::new(), ScrambledPoints::default());
     for group in groups(mesh, &normals, elements) {
         table.scramble(&Scramble::new(seed_of(&[seed, group.start, 0])), &mut points);
-        let apart = if share_packets(table) { 1 } else { group.len() };
-        for part in 0..apart {
-            let which = group.clone().filter(|e| apart == 1 || (e - group.start) as usize == part);
-            let mut lanes = Lanes::new(visibility, mesh, which);
+        for part in shared(group.len(), table) {
+            let mut lanes = Lanes::new(visibility, mesh, part.map(|k| group.start + k as u32));
             lanes.shift(seed, 0, table.shared_bits());
             let step = lanes.points_a_packet();
             let full = |first: &usize| lanes.active(table.len() - first) == u16::MAX;
