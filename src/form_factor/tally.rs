@@ -20,13 +20,25 @@ impl Counts {
     pub(super) fn count(&mut self, landed: &[u32], mut each: impl FnMut(u32, u32)) {
         let none = self.count.len() - 1;
         self.met.clear();
-        self.met.resize(landed.len() + 1, 0);
         let mut len = 0;
-        for element in landed {
-            let element = (*element as usize).min(none);
-            self.met[len] = element as u32;
-            len += usize::from(self.count[element] == 0);
-            self.count[element] += 1;
+        if none <= 4 * landed.len() {
+            self.met.resize(none + 2, 0);
+            for element in landed {
+                self.count[(*element as usize).min(none)] += 1;
+            }
+            for (k, count) in self.count[..none].iter().enumerate() {
+                self.met[len] = k as u32;
+                len += usize::from(*count > 0);
+            }
+            self.count[none] = 0;
+        } else {
+            self.met.resize(landed.len() + 1, 0);
+            for element in landed {
+                let element = (*element as usize).min(none);
+                self.met[len] = element as u32;
+                len += usize::from(self.count[element] == 0);
+                self.count[element] += 1;
+            }
         }
         for element in &self.met[..len] {
             let count = std::mem::take(&mut self.count[*element as usize]);
