@@ -251,6 +251,7 @@ impl<'a, 's> Caster<'a, 's> {
         let n = self.mesh.len();
         (0..n.div_ceil(BLOCK))
             .into_par_iter()
+            .with_max_len(1)
             .map_init(
                 || self.scratch(),
                 |scratch, b| {

@@ -480,6 +480,7 @@ fn film(
     };
     let tiles: Vec<(Vec<_>, Traced)> = (0..columns * height.div_ceil(TILE))
         .into_par_iter()
+        .with_max_len(1)
         .map(|tile| {
             let mut traced = Traced::default();
             let mut pixels = Vec::with_capacity((TILE * TILE) as usize);
