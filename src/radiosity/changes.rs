@@ -13,8 +13,12 @@ const HALF: f64 = 0.5;
 const NEEDLESS: f64 = 0.3;
 
 /// Part of what all elements make wrong of the light elsewhere that is left where some make it brighter and others darker. In the corridor
-/// 1 takes a tenth more elements at equal error; less fails where all make it darker, behind a lamp close under a ceiling.
-const TOGETHER: f64 = 0.5;
+/// 1/2 takes a tenth more elements at equal error.
+const TOGETHER: f64 = 1.0 / 3.0;
+
+/// What may be wrong of all light, net, while cells may be divided: behind a lamp close under a ceiling, all elements make it darker. A
+/// third of what a warning is for.
+const ASTRAY: f64 = MUCH / 3.0;
 
 /// Cells that dividing a triangle's cell adds; a quad's, along one edge, adds one.
 const OF_TRIANGLE: usize = 3;
@@ -67,11 +71,10 @@ impl Changes {
             }
         }
         let allowed = rest * square(finest);
-        // Nor more light in wrong places than what a warning is for, while cells may be divided.
-        let astray = MUCH.max(rest.sqrt() * finest.sent);
+        let astray = ASTRAY.max(rest.sqrt() * finest.net.abs());
         let over = |left: ElementError| {
             let times = |of: f64, allowed: f64| if of > 0.0 { of / allowed } else { 0.0 };
-            times(square(left), allowed).max(times(left.sent, astray).powi(2))
+            times(square(left), allowed).max(times(left.net.abs(), astray).powi(2))
         };
         let excess = over(left);
         // What a cell has of the squared error, to first order.
@@ -92,7 +95,8 @@ impl Changes {
             added += cost(at.0);
         }
         let error = |s: &Siblings| judge.joined(s);
-        let little = |lost: ElementError| part(&lost) <= NEEDLESS * allowed && lost.sent <= NEEDLESS * astray;
+        let little =
+            |lost: ElementError| part(&lost) <= NEEDLESS * allowed && lost.net.abs() <= NEEDLESS * astray;
         let join = needless(division, &divide, (error, part), little);
         Changes { divide, join, added, excess }
     }

@@ -54,11 +54,17 @@ pub struct ElementError {
     pub shown: f64,
     /// What it makes wrong of the light elsewhere, in relation to that light.
     pub sent: f64,
+    /// The same with its sign: what it adds to that light, or takes from it.
+    pub net: f64,
 }
 
 impl ElementError {
     pub(super) fn plus(self, other: ElementError, times: f64) -> ElementError {
-        ElementError { shown: self.shown + times * other.shown, sent: self.sent + times * other.sent }
+        ElementError {
+            shown: self.shown + times * other.shown,
+            sent: self.sent + times * other.sent,
+            net: self.net + times * other.net,
+        }
     }
 }
 
@@ -139,8 +145,8 @@ impl Judge<'_> {
             let (difference, times) = self.second_difference(part, centroid + t * across, along, divisible);
             times * color::mean(difference * difference)
         });
-        let sent = self.sent(part, along);
-        ElementError { shown: self.shown(part, (square[0] + square[1]) / 2.0), sent }
+        let [sent, net] = self.sent(part, along);
+        ElementError { shown: self.shown(part, (square[0] + square[1]) / 2.0), sent, net }
     }
 
     /// The error along both edges of a triangle's cell.
@@ -156,7 +162,9 @@ impl Judge<'_> {
         let sum: Rgb = differences.iter().sum();
         let squares: Rgb = differences.iter().map(|d| d * d).sum();
         let square = color::mean(sum * sum + squares) / 6.0;
-        ElementError { shown: self.shown(part, square), sent: self.sent(part, a) + self.sent(part, b) }
+        let [along_a, along_b] = [a, b].map(|edge| self.sent(part, edge));
+        let [sent, net] = [0, 1].map(|k| along_a[k] + along_b[k]);
+        ElementError { shown: self.shown(part, square), sent, net }
     }
 
     /// What second differences of a mean `square` mean for what is shown.
@@ -180,8 +188,8 @@ impl Judge<'_> {
         MISSED * weight * (square - noise).max(0.0)
     }
 
-    /// What sending the mean light of a cell makes wrong that changes along an edge.
-    fn sent(&self, part: &Part, edge: DVec2) -> f64 {
+    /// What sending the mean light of a cell makes wrong that changes along an edge: its size, and with its sign.
+    fn sent(&self, part: &Part, edge: DVec2) -> [f64; 2] {
         let (centroid, ..) = part.frame;
         let change = |field: &Field| {
             let [a, b] = [-0.5, 0.5].map(|t| self.read(field, part.side, centroid + t * edge));
@@ -189,7 +197,8 @@ impl Judge<'_> {
         };
         let first = self.solution.mesh.first(part.side.0, part.side.1);
         let area: f64 = part.members.iter().map(|cell| self.importance.area[(first + cell) as usize]).sum();
-        COVARIANCE * area * color::mean((change(&self.solution.reflected) * change(&self.worth)).abs())
+        let product = change(&self.solution.reflected) * change(&self.worth);
+        [color::mean(product.abs()), color::mean(product)].map(|mean| COVARIANCE * area * mean)
     }
 
     fn read(&self, field: &Field, side: (u32, bool), uv: DVec2) -> Rgb {
