@@ -349,8 +349,7 @@ impl<'a, 's> Caster<'a, 's> {
         // By lane: where the element's rays go, its face, and how many of its rays met nothing or were absorbed.
         let place = |l: usize| lanes.place(l);
         let own: [usize; LANES] = std::array::from_fn(|l| landed + place(l).0 * stride + place(l).1);
-        let face: [u32; LANES] =
-            std::array::from_fn(|l| lanes.sources.get(place(l).0).map_or(NONE, |s| s.face));
+        let face: [u32; LANES] = std::array::from_fn(|l| lanes.sources[place(l).0].face);
         let (mut escaped, mut absorbed) = ([0u32; LANES], [0u32; LANES]);
         for base in (0..n).step_by(step) {
             let rays = lanes.rays(&scratch.points, base);
@@ -384,7 +383,7 @@ impl<'a, 's> Caster<'a, 's> {
                 }
             }
         }
-        for l in (0..LANES).filter(|l| place(*l).0 < lanes.sources.len()) {
+        for l in 0..LANES {
             let fate = &mut scratch.fates[first + place(l).0];
             fate.escaped += escaped[l];
             fate.absorbed += absorbed[l];

@@ -48,8 +48,8 @@ pub(super) fn groups(mesh: &Mesh, normals: &[Vec3], block: Range<u32>) -> impl I
     })
 }
 
-/// The elements of a group that are cast, laid out over the lanes of a packet: with m elements (a power of two, the rest
-/// idle), lane l holds element l mod m and the (l / m)-th of the points that are due.
+/// The elements of a group that are cast, laid out over the lanes of a packet: with m elements, a power of
+/// two ([`shared`]), lane l holds element l mod m and the (l / m)-th of the points that are due.
 pub(super) struct Lanes {
     pub(super) sources: Vec<Source>,
     /// Lanes of one point.
@@ -125,7 +125,8 @@ impl Lanes {
             lanes.triangles |= grid.is_triangle();
             lanes.sources.push(Source { element, face, normal, area: mesh.area(element) });
         }
-        lanes.width = lanes.sources.len().max(1).next_power_of_two();
+        debug_assert!(lanes.sources.len().is_power_of_two());
+        lanes.width = lanes.sources.len();
         lanes
     }
 
@@ -169,10 +170,7 @@ impl Lanes {
 
     /// Bit l: lane l holds a ray, where `points` points are left.
     pub(super) fn active(&self, points: usize) -> u16 {
-        (0..LANES).fold(0, |bits, lane| {
-            let (source, point) = self.place(lane);
-            bits | u16::from(source < self.sources.len() && point < points) << lane
-        })
+        (0..LANES).fold(0, |bits, lane| bits | u16::from(self.place(lane).1 < points) << lane)
     }
 
     /// Coordinates of the points that are due by lane.
@@ -292,4 +290,35 @@ pub fn packets_of(
         }
     }
     packets
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Whatever the number of elements, packets are full, and each lane has the coordinate of the point that it takes.
+    #[test]
+    fn packets_are_full_and_each_lane_has_its_point() {
+        // 16 rays of one element have a narrower cone than a shared cell, and a wider one.
+        let (apart, together) = (SobolTable::new(1000), SobolTable::new(1024));
+        for m in 0..=LANES {
+            let parts: Vec<Range<usize>> = shared(m, &together).collect();
+            let set: u32 = parts.iter().map(|p| p.len() as u32).sum();
+            assert_eq!(
+                parts.iter().map(|p| p.len() as u32).fold(0, |bits, len| bits | len),
+                set,
+                "{parts:?}"
+            );
+            assert!(parts.iter().all(|p| LANES % p.len() == 0) && set as usize == m);
+            assert!(parts.windows(2).all(|p| p[0].end == p[1].start) && parts.iter().all(|p| p.end <= m));
+            assert_eq!(shared(m, &apart).collect::<Vec<_>>(), (0..m).map(|k| k..k + 1).collect::<Vec<_>>());
+        }
+        let due: Vec<u32> = (100..116).collect();
+        let each = |width: u32| std::array::from_fn(|l| 100 + l as u32 / width);
+        assert_eq!(repeated::<16>(&due), each(16));
+        assert_eq!(repeated::<8>(&due), each(8));
+        assert_eq!(repeated::<4>(&due), each(4));
+        assert_eq!(repeated::<2>(&due), each(2));
+        assert_eq!(repeated::<1>(&due), each(1));
+    }
 }
