@@ -99,7 +99,8 @@ fn cells_are_divided_along_the_edge_that_light_changes_along() {
         elements.len()
     );
     // Level 2 is that of the first mesh; noise may divide some further.
-    assert!(mean < 2.3 && most[0] <= 3 && most[1] >= 5, "{mean} {most:?}");
+    let further = levels(0).filter(|l| *l > 2).count();
+    assert!(mean < 2.0 && 6 * further < elements.len() && most[1] >= 5, "{mean} {further} {most:?}");
     assert!(elements.len() < 200, "of 100 x 100 of the finest");
     let exact = |y: f64| 0.5 * 0.5 * (1.0 - y / y.hypot(HEIGHT));
     let (mut square, mut sum) = (0.0, 0.0);
