@@ -135,18 +135,13 @@ impl RayPacket {
         query.tnear = [0.0; LANES];
         query.tfar = [f32::INFINITY; LANES];
         self.query.hit.geomID = [MISS; LANES];
-        let (o, d) = (&rays.origin, &rays.direction);
         let mut size = [0f32; LANES];
-        for l in 0..LANES {
-            size[l] = (o[0][l].abs() + o[1][l].abs())
-                + (o[2][l].abs() + d[0][l].abs())
-                + (d[1][l].abs() + d[2][l].abs());
+        for lanes in rays.origin.iter().chain(&rays.direction) {
+            size.iter_mut().zip(lanes).for_each(|(size, x)| *size += x.abs());
         }
         // No shifts by the lane and no branches: all lanes at once.
-        for l in 0..LANES {
-            let is_active = -i32::from(i32::from(active) & BITS[l] != 0);
-            let is_finite = -i32::from(size[l] < LIMIT);
-            self.valid.0[l] = is_active & is_finite;
+        for ((valid, size), bit) in self.valid.0.iter_mut().zip(&size).zip(&BITS) {
+            *valid = -(i32::from(i32::from(active) & bit != 0) & i32::from(*size < LIMIT));
         }
     }
 

@@ -3,10 +3,7 @@
 /// Elements up to which each has a counter: these fit the processor's second cache.
 const FEW: usize = 1 << 16;
 
-/// Elements over rays up to which all counters are looked through for those that count something.
-const DENSE: usize = 4;
-
-/// Rays by element: a counter an element, and not a branch.
+/// Rays by element, elements in the order in which they were first met: a counter an element, and not a branch.
 pub(super) struct Counts {
     /// The last one counts rays that met no element.
     count: Vec<u32>,
@@ -20,29 +17,16 @@ impl Counts {
     }
 
     /// Counts rays by the elements that they met, or [`crate::mesh::NONE`], shows each element with its number of rays, and starts anew.
-    /// Elements come in their order where they are few beside the rays, else as they were first met.
     pub(super) fn count(&mut self, landed: &[u32], mut each: impl FnMut(u32, u32)) {
         let none = self.count.len() - 1;
-        let dense = none <= DENSE * landed.len();
         self.met.clear();
-        self.met.resize(1 + if dense { none } else { landed.len() }, 0);
+        self.met.resize(landed.len() + 1, 0);
         let mut len = 0;
-        if dense {
-            for element in landed {
-                self.count[(*element as usize).min(none)] += 1;
-            }
-            for (element, count) in self.count[..none].iter().enumerate() {
-                self.met[len] = element as u32;
-                len += usize::from(*count > 0);
-            }
-            self.count[none] = 0;
-        } else {
-            for element in landed {
-                let element = (*element as usize).min(none);
-                self.met[len] = element as u32;
-                len += usize::from(self.count[element] == 0);
-                self.count[element] += 1;
-            }
+        for element in landed {
+            let element = (*element as usize).min(none);
+            self.met[len] = element as u32;
+            len += usize::from(self.count[element] == 0);
+            self.count[element] += 1;
         }
         for element in &self.met[..len] {
             let count = std::mem::take(&mut self.count[*element as usize]);
@@ -131,19 +115,13 @@ mod tests {
     #[test]
     fn both_count_alike() {
         let landed: Vec<u32> = (0..5000u32).map(|k| if k % 7 == 0 { NONE } else { k * k % 977 }).collect();
-        // Few rays and many beside the elements.
-        for rays in [200, 5000] {
-            let (mut counts, mut tally) = (Counts::new(977).expect("few"), Tally::new(1));
-            for round in 0..2 {
-                landed[..rays].iter().filter(|c| **c != NONE).for_each(|c| tally.add(*c, &[1.0]));
-                let (mut expected, mut found) = (Vec::new(), Vec::new());
-                tally.drain(|column, weight| expected.push((column, weight[0] as u32)));
-                counts.count(&landed[..rays], |column, count| found.push((column, count)));
-                if rays == 5000 {
-                    expected.sort_unstable();
-                }
-                assert_eq!(found, expected, "{rays} rays, round {round}");
-            }
+        let (mut counts, mut tally) = (Counts::new(977).expect("few"), Tally::new(1));
+        for round in 0..2 {
+            landed.iter().filter(|c| **c != NONE).for_each(|c| tally.add(*c, &[1.0]));
+            let (mut expected, mut found) = (Vec::new(), Vec::new());
+            tally.drain(|column, weight| expected.push((column, weight[0] as u32)));
+            counts.count(&landed, |column, count| found.push((column, count)));
+            assert_eq!(found, expected, "round {round}");
         }
         assert!(Counts::new(FEW + 1).is_none());
     }

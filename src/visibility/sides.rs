@@ -29,7 +29,6 @@ type Record = [u32; 8];
 pub struct SideTable {
     faces: Vec<FaceSides>,
     records: Vec<Record>,
-    nothing: Record,
     adaptive: bool,
     skewed: bool,
 }
@@ -80,11 +79,10 @@ impl SideTable {
     /// The table of faces, in their order; no face is of the kind `nothing`.
     pub fn new(faces: impl Iterator<Item = FaceSides>, nothing: u8) -> SideTable {
         let faces: Vec<FaceSides> = faces.chain([FaceSides::bare(Vec3::ZERO, [nothing; 2])]).collect();
-        let records: Vec<Record> = faces.iter().map(FaceSides::record).collect();
-        let nothing = records[records.len() - 1];
+        let records = faces.iter().map(FaceSides::record).collect();
         let adaptive = faces.iter().any(|t| t.grid.is_adaptive());
         let skewed = faces.iter().any(|t| t.skew != [0.0; 2]);
-        SideTable { adaptive, skewed, records, nothing, faces }
+        SideTable { adaptive, skewed, records, faces }
     }
 
     /// A face; one that there is not stands for none.
@@ -102,8 +100,8 @@ impl SideTable {
     /// The sides that the rays of a packet landed on.
     #[inline(always)]
     pub fn lanes<S: Simd>(&self, simd: S, hits: &Hits, rays: &RayLanes) -> SideLanes<'_> {
-        let met: [&Record; LANES] =
-            std::array::from_fn(|l| self.records.get(hits.face[l] as usize).unwrap_or(&self.nothing));
+        let last = self.records.len() - 1;
+        let met: [&Record; LANES] = std::array::from_fn(|l| &self.records[(hits.face[l] as usize).min(last)]);
         let [front_first, back_first, bits, nu, nv, cx, cy, _] = fields(simd, met);
         let (mut first, mut kind, mut triangle) = ([0; LANES], [0; LANES], [0; LANES]);
         for l in 0..LANES {
