@@ -155,6 +155,34 @@ fn emitters_shine_evenly() {
     assert!(mean.distance(centroid) < 1e-4, "{mean} {centroid}");
 }
 
+/// A lamp that is seen whole between a wall through its slanted edge and the floor gives exactly its light: no sample of it lies
+/// where a parallelogram of its first corner would go on, behind the wall.
+#[test]
+fn lamps_shine_from_their_quad_alone() {
+    let mut files = Files::default();
+    files.material("floor", "diffuse = 0.5").material("wall", "diffuse = 0");
+    files.material("lamp", "diffuse = 0\nemission = 1");
+    files.polygon("floor", "floor", &[[0.0, 0.0, 0.0], [0.4, 0.0, 0.0], [0.4, 0.8, 0.0], [0.0, 0.8, 0.0]]);
+    files.polygon("lamp", "lamp", &[[0.0, 0.0, 2.0], [0.0, 0.8, 2.0], [0.5, 0.8, 2.0], [1.2, 0.0, 2.0]]);
+    files.polygon("wall", "wall", &[[0.5, 0.8, -0.1], [1.2, 0.0, -0.1], [1.2, 0.0, 2.1], [0.5, 0.8, 2.1]]);
+    let scene = files.load();
+    let lamp = Polygon::of_face(&scene, &scene.faces[1]);
+    assert!(scene.faces[1].skew.length() > 0.1 && scene.faces[1].normal.z < 0.0);
+    let s = solve(&scene, 256, 0.2, 1).expect("solution").solution;
+    let mut found = 0;
+    for (e, radiosity) in s.radiosity.iter().enumerate() {
+        if !matches!(s.mesh.place(e as u32), (0, true, _)) {
+            continue;
+        }
+        let cell = Polygon::of_element(&scene, &s.mesh, e as u32);
+        let irradiance = std::f64::consts::PI * exchange(&cell, &lamp, EXACT) / s.mesh.area(e as u32);
+        let off = radiosity.x / (0.5 * irradiance) - 1.0;
+        assert!(off.abs() < 1e-6, "element {e}: off by {:.2e}", off);
+        found += 1;
+    }
+    assert_eq!(found, 8);
+}
+
 /// What a mirror shows of a quad, by its images and by chains of rays.
 #[test]
 fn mirrors_end_at_their_edges() {

@@ -21,8 +21,8 @@ use crate::emitters::Emitters;
 use crate::form_factor::EmitterIrradiance;
 use crate::form_factor::analytic::{Polygon, exchange};
 use crate::mesh::{Mesh, NONE, side_index};
-use crate::sampling::{self, Scramble, ScrambledPoints, SobolTable, seed_of, sobol, unit};
-use crate::scene::Scene;
+use crate::sampling::{Scramble, ScrambledPoints, SobolTable, seed_of, sobol, unit};
+use crate::scene::{FaceFrame, Scene};
 use crate::visibility::Visibility;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -57,6 +57,7 @@ struct Lamp {
     middle: DVec3,
     radius: f64,
     area: f64,
+    frame: FaceFrame,
 }
 
 /// Sums over the samples of one randomisation.
@@ -78,7 +79,8 @@ impl<'a, 's> Lamps<'a, 's> {
             }
             let polygon = Polygon::new(&corners, if front { f.normal } else { -f.normal });
             let middle = polygon.middle();
-            Lamp { face, polygon, radiance, middle, radius: polygon.radius(middle), area: f.area }
+            let (radius, frame) = (polygon.radius(middle), scene.face_frame(f));
+            Lamp { face, polygon, radiance, middle, radius, area: f.area, frame }
         };
         let lamps: Vec<Lamp> = emitters.are_few().then(|| emitters.sides().map(lamp).collect())?;
         let mut lamps = Lamps { visibility, mesh, lamps, hidden: Vec::new() };
@@ -273,13 +275,7 @@ impl Lamp {
                 return Some((from + triangle.sample(u.min(1.0), v)?, 1.0 / total));
             }
         }
-        let point = match c.get(3) {
-            Some(d) => c[0] + u * (c[1] - c[0]) + v * (d - c[0]),
-            None => {
-                let (s, t) = sampling::triangle(u, v);
-                c[0] + s * (c[1] - c[0]) + t * (c[2] - c[0])
-            }
-        };
+        let point = self.frame.at(self.frame.uniform(u, v));
         let d = from - point;
         let r2 = d.length_squared();
         Some((point, r2 * r2.sqrt() / (d.dot(self.polygon.normal) * self.area)))
