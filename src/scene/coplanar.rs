@@ -6,9 +6,12 @@
 //! on a table, the table's top is seen through it, in optical contact. Of two alike the smaller polygon keeps its part: what
 //! was put on a larger surface was meant to be seen. A translucent face on an opaque one (a paper lantern that stands on a floor) is one
 //! surface with it where they touch, [`Material::coated`], of its own object and with the front of what it lies on.
+//! Faces back to back that cover each other, as a lamp that shines up and one that shines down, are two sides of a thin body: each
+//! keeps its front, and one is moved off the other, to where rays can tell them apart.
 //! What glass stands on is divided along the glass's outline: the radiosity within differs by the index squared, and elements
 //! must not lie half within.
 
+use super::faces::Made;
 use super::{Face, Material, polygon};
 use glam::{DVec2, DVec3};
 use rustc_hash::FxHashMap;
@@ -31,6 +34,8 @@ pub(super) struct Cut {
     pub kept: Vec<u32>,
     /// Object of each translucent face that became one surface with an opaque one.
     pub joined: Vec<u32>,
+    /// Object of each face that was moved off one that it is back to back with.
+    pub parted: Vec<u32>,
     /// Object of the smaller of two faces that are not in one plane but nearer to each other than rays can tell.
     pub narrow: Vec<u32>,
 }
@@ -81,13 +86,6 @@ impl Coated<'_> {
     }
 }
 
-/// What the parts of a face are made of.
-#[derive(Debug, Clone, Copy)]
-struct Made {
-    object: u32,
-    material: u32,
-}
-
 /// Convex parts of a face.
 type Pieces = Vec<(Vec<DVec3>, Made)>;
 
@@ -118,6 +116,7 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
     let mut groups: Vec<Vec<u32>> = planes.into_values().filter(|g| g.len() > 1).collect();
     groups.sort_unstable();
     let mut replaced: Vec<(u32, Pieces)> = Vec::new();
+    let mut parted: Vec<u32> = Vec::new();
     let mut coated = Coated { known: materials, made: Vec::new(), numbers: FxHashMap::default() };
     for group in groups {
         let mut flats: Vec<Flat> = group.iter().map(|&k| Flat::new(k, faces, points, center)).collect();
@@ -141,6 +140,16 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
                 && glass.bends()
                 && !base.is_glass()
                 && !base.is_emitter()
+        };
+        // Whether two faces are the two sides of a thin body, and not one surface drawn twice.
+        let back_to_back = |a: u32, b: u32| {
+            let [f, g] = [a, b].map(|k| &faces[k as usize]);
+            let [one, other] = [f, g].map(|f| &materials[f.material as usize]);
+            f.normal.dot(g.normal) < 0.0
+                && !joins(a, b)
+                && !one.bends()
+                && !other.bends()
+                && !((f.object, f.material) == (g.object, g.material) && one.is_alike_on_both_sides())
         };
         let mut changes: FxHashMap<u32, Change> = FxHashMap::default();
         for (i, a) in flats.iter().enumerate() {
@@ -183,6 +192,11 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
                 };
                 pieces = pieces.iter().flat_map(outside).collect();
             }
+            let covered = pieces.is_empty() && change.tops.is_empty();
+            if covered && change.winners.iter().all(|w| back_to_back(k, *w)) {
+                parted.push(k);
+                continue;
+            }
             if face.normals.is_some() && !pieces.is_empty() {
                 result.kept.push(face.object);
                 continue;
@@ -214,10 +228,31 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
     }
     let made = coated.made;
     materials.extend(made);
+    parted.sort_unstable();
+    result.parted = parted.iter().map(|k| faces[*k as usize].object).collect();
+    part(faces, points, &parted, (0.5 * (high - low), radius));
     if !replaced.is_empty() {
         replace(faces, points, replaced);
     }
     result
+}
+
+/// Moves faces to their fronts, so far that rays can tell them from what they were in one plane with in a scene of these half edges
+/// and this radius. Neighbours move alike and keep what corners they share.
+fn part(faces: &mut [Face], points: &mut Vec<DVec3>, parted: &[u32], (extent, radius): (DVec3, f64)) {
+    let mut numbers: FxHashMap<(u32, [i32; 3]), u32> = FxHashMap::default();
+    for &k in parted {
+        let face = &mut faces[k as usize];
+        let n = face.normal;
+        let direction = n.to_array().map(|x| (1024.0 * x).round() as i32);
+        let moved = 2.0 * APART * (n.abs().dot(extent) + 2.0 * radius) * n;
+        face.vertices = face.vertices.map(|v| {
+            *numbers.entry((v, direction)).or_insert_with(|| {
+                points.push(points[v as usize] + moved);
+                points.len() as u32 - 1
+            })
+        });
+    }
 }
 
 /// Puts pieces in the places of the faces that they are left of.

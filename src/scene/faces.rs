@@ -4,7 +4,7 @@ use super::obj::{ObjFile, Polygon};
 use super::{Face, Material, coplanar, frame, polygon};
 use crate::error::{Error, Result};
 use glam::{DVec2, DVec3};
-use rustc_hash::{FxHashMap, FxHashSet};
+use rustc_hash::FxHashMap;
 
 /// Shading normals within this of the geometric normal say nothing new.
 const FLAT_TOLERANCE: f64 = 1e-6;
@@ -18,6 +18,13 @@ pub(super) struct Numbering {
     pub materials: Vec<u32>,
     /// Scene material of the faces without one.
     pub no_material: u32,
+}
+
+impl Numbering {
+    /// Scene material of a polygon.
+    fn material(&self, polygon: &Polygon) -> u32 {
+        polygon.material.map_or(self.no_material, |m| self.materials[m as usize])
+    }
 }
 
 /// The geometry of a scene.
@@ -54,10 +61,40 @@ pub(super) fn build(
     for (file, numbers) in files.iter().zip(numbering) {
         builder.normal_numbers.clear();
         for polygon in &file.polygons {
-            builder.add(file, numbers, polygon)?;
+            builder.add(file, numbers, polygon, materials)?;
         }
     }
     builder.finish(files, materials)
+}
+
+/// What a face is made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Made {
+    pub object: u32,
+    pub material: u32,
+}
+
+/// Faces with the same corners, by which way their fronts look.
+#[derive(Debug, Default)]
+struct Seen([Option<Made>; 2]);
+
+impl Seen {
+    /// Whether a face adds anything: none with its front on that side came before, and it is not what one surface of one material,
+    /// `one_sheet`, shows on its other side.
+    fn add(&mut self, side: usize, made: Made, one_sheet: bool) -> bool {
+        if self.0[side].is_some() || one_sheet && self.0[1 - side] == Some(made) {
+            return false;
+        }
+        self.0[side] = Some(made);
+        true
+    }
+}
+
+/// Which way a face looks, of its plane's two: the other one if its corners go round the other way.
+fn orientation(area: DVec3) -> usize {
+    let n = area.normalize_or_zero();
+    // The first component that is clearly not zero decides.
+    usize::from(n.to_array().into_iter().find(|x| x.abs() > 1e-3).is_some_and(|x| x < 0.0))
 }
 
 /// How often something happened, to which objects, and where first.
@@ -103,8 +140,8 @@ struct Builder {
     normal_numbers: FxHashMap<u32, u32>,
     faces: Vec<Face>,
     polygon_count: u32,
-    seen_polygons: FxHashSet<Vec<u32>>,
-    seen_faces: FxHashSet<[u32; 4]>,
+    seen_polygons: FxHashMap<Vec<u32>, Seen>,
+    seen_faces: FxHashMap<[u32; 4], Seen>,
     object_names: FxHashMap<u32, String>,
     no_area: Tally,
     duplicates: Tally,
@@ -115,7 +152,13 @@ struct Builder {
 }
 
 impl Builder {
-    fn add(&mut self, file: &ObjFile, numbers: &Numbering, polygon: &Polygon) -> Result<()> {
+    fn add(
+        &mut self,
+        file: &ObjFile,
+        numbers: &Numbering,
+        polygon: &Polygon,
+        materials: &[Material],
+    ) -> Result<()> {
         // Equal points become one vertex, whatever indices the file gave them. A corner that
         // repeats the one before it adds nothing.
         let mut vertices: Vec<u32> = Vec::with_capacity(polygon.corners.len());
@@ -138,7 +181,11 @@ impl Builder {
         }
         let mut sorted = vertices.clone();
         sorted.sort_unstable();
-        if !self.seen_polygons.insert(sorted) {
+        let made =
+            Made { object: numbers.objects[polygon.object as usize], material: numbers.material(polygon) };
+        let one_sheet = materials[made.material as usize].is_alike_on_both_sides();
+        let side = orientation(polygon::area_vector(&points));
+        if !self.seen_polygons.entry(sorted).or_default().add(side, made, one_sheet) {
             self.duplicates.add(file, polygon);
             return Ok(());
         }
@@ -158,7 +205,7 @@ impl Builder {
                 key[3] = u32::MAX;
             }
             key.sort_unstable();
-            if self.seen_faces.insert(key) {
+            if self.seen_faces.entry(key).or_default().add(side, made, one_sheet) {
                 let normals = shading.as_ref().map(|s| corners.map(|c| s[c]));
                 self.face(file, numbers, polygon, face_vertices, normals);
             } else {
@@ -211,7 +258,7 @@ impl Builder {
             vertices,
             normals,
             object: numbers.objects[polygon.object as usize],
-            material: polygon.material.map_or(numbers.no_material, |m| numbers.materials[m as usize]),
+            material: numbers.material(polygon),
             polygon: self.polygon_count,
             normal: DVec3::ZERO,
             area: 0.0,
@@ -279,6 +326,10 @@ impl Builder {
                 "translucent and in the plane of opaque ones: one opaque surface with these where they touch",
             ),
             (&cut.kept, "in the plane of others that cover them; not cut, for their shading normals"),
+            (
+                &cut.parted,
+                "back to back with others in one plane: moved off them by as little as rays can tell",
+            ),
             (
                 &cut.narrow,
                 "nearer to others than single precision tells on faces of that size; light between them may be wrong",

@@ -149,6 +149,11 @@ impl Material {
         self.emission != Rgb::ZERO
     }
 
+    /// Whether a surface shows the same on its back as on its front.
+    pub fn is_alike_on_both_sides(&self) -> bool {
+        self.two_sided && (self.emit_both_sides || !self.is_emitter())
+    }
+
     /// Radiance emitted from the front (`true`) or the back.
     pub fn emitted(&self, front: bool) -> Rgb {
         if front || self.emit_both_sides { self.emission } else { Rgb::ZERO }
