@@ -12,13 +12,17 @@ const RANDOMISATION: f64 = 270.0;
 const TILED: f64 = 250.0;
 /// Entries for each ray where chains count every surface that they touch.
 const CHAIN: f64 = 2.0;
+/// Bytes of a cell of the caustic map while it is made. Measured: 204.
+const CELL: f64 = 210.0;
+/// Bytes for each ray of an element, of a thread that casts 16 elements together: where they landed, and their points.
+const RAY: f64 = 16.0 * 4.0 + 16.0;
 /// Share of what is free that is taken where nobody says otherwise.
 const SHARE: f64 = 0.75;
 
 /// Memory that pass 1 needs \[bytes\].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Need {
-    /// Elements, solution and solver.
+    /// Elements, solution and solver, the caustic map, and what threads hold while they cast.
     pub elements: f64,
     /// The matrix, at most.
     pub matrix: f64,
@@ -47,8 +51,14 @@ pub enum Factors {
 
 impl Need {
     /// The need of a mesh with `rays` rays an element in `batches` randomisations; `channels` values are kept for each entry
-    /// where chains give weights, none where rays are counted.
-    pub fn new(mesh: &Mesh, rays: u32, batches: u32, channels: usize) -> Need {
+    /// where chains give weights, none where rays are counted. Particles fill a caustic map of `cells` cells; this many `threads` cast.
+    pub fn new(
+        mesh: &Mesh,
+        (rays, batches): (u32, u32),
+        channels: usize,
+        cells: f64,
+        threads: usize,
+    ) -> Need {
         let n = mesh.len() as f64;
         let more = f64::from(batches.saturating_sub(4)) * RANDOMISATION;
         // A randomisation has no more entries than elements, nor than rays.
@@ -61,7 +71,12 @@ impl Need {
             true => n * (4.0 * row + TILED),
             false => 0.0,
         };
-        Need { elements: n * (ELEMENT + more), matrix: n * row * 4.0 * (1 + channels) as f64, tiles }
+        let casting = threads as f64 * f64::from(rays) * RAY;
+        Need {
+            elements: n * (ELEMENT + more) + cells * CELL + casting,
+            matrix: n * row * 4.0 * (1 + channels) as f64,
+            tiles,
+        }
     }
 
     /// The fastest way that fits `limit` bytes.
@@ -78,7 +93,7 @@ impl Need {
             return Ok(Plan { factors: Factors::CastAgain, tiles: false });
         }
         Err(Error::Usage(format!(
-            "pass 1 needs {} even without a matrix of form factors, but may take {}: choose a larger --element-size, or \
+            "pass 1 needs {} even without a matrix of form factors, but may take {}: choose a larger --element-size or fewer --rays, or \
              allow more with --max-memory",
             size(self.elements),
             size(limit)

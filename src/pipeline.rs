@@ -214,9 +214,6 @@ pub(crate) fn solve_mesh(
     } else {
         1
     };
-    let need = Need::new(&mesh, settings.rays, batches, channels);
-    let all = Plan { factors: Factors::Kept, tiles: true };
-    let Plan { factors, tiles } = limit.map_or(Ok(all), |limit| need.choose(limit))?;
     let samples = (settings.rays / 4).div_ceil(batches).max(16);
     // Particles cost no more than the rows' rays, where they can bring anything.
     let start = Instant::now();
@@ -225,6 +222,10 @@ pub(crate) fn solve_mesh(
         ProjectionMap::new(visibility, &mesh, emitters, (most / 16.0).min(524_288.0) as u32, settings.seed)
     });
     let projection = projection.flatten();
+    let cells = if projection.is_some() { radiosity::caustic_cells(&mesh) } else { 0.0 };
+    let need = Need::new(&mesh, (settings.rays, batches), channels, cells, rayon::current_num_threads());
+    let all = Plan { factors: Factors::Kept, tiles: true };
+    let Plan { factors, tiles } = limit.map_or(Ok(all), |limit| need.choose(limit))?;
     let particles = projection.as_ref().map_or(0, |projection| aimed_particles(most, projection) / batches);
     let looked = start.elapsed().as_secs_f64();
     let work = EmitterWork {

@@ -8,6 +8,8 @@ use sobol_burley::parts;
 
 /// Longest sequence that `sobol_burley` holds; longer runs use several randomisations.
 pub const MAX_POINTS: u32 = 1 << 16;
+/// Most rays of an element, or samples of a pixel, that may be asked for.
+pub const MOST_SAMPLES: u32 = 1 << 30;
 
 /// Mixes integers to a well-distributed 32-bit seed (PCG-style avalanche).
 pub fn seed_of(parts: &[u32]) -> u32 {

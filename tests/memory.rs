@@ -21,6 +21,15 @@ fn solve(limit: u64, scene: &Scene, (rays, element_size): (u32, f64)) -> twopass
     pipeline::solve_within(Some(limit), &visibility, &emitters, &[], &settings, &|_| (), &mut Vec::new())
 }
 
+/// Bytes that pass 1 needs without a matrix, to a tenth of the unit that messages give them in.
+fn needed(scene: &Scene, settings: (u32, f64)) -> u64 {
+    let error = solve(1, scene, settings).err().expect("nothing fits into a byte").to_string();
+    let words: Vec<&str> = error.split_whitespace().collect();
+    let at = words.iter().position(|w| *w == "needs").expect("a need");
+    let unit = ["KiB", "MiB"].iter().position(|u| *u == words[at + 2]).expect("a unit");
+    (words[at + 1].parse::<f64>().expect("a number") * 1024f64.powi(unit as i32 + 1)) as u64
+}
+
 /// A room with a box in it, whose sides are made of `material`.
 fn room(material: &str) -> Scene {
     paved_room(material, 0)
@@ -61,7 +70,7 @@ fn rays_cast_again_give_the_same_solution() {
         let elements = kept.solution.mesh.len() as u64;
         assert!(kept.factors == Factors::Kept && kept.matrix_bytes > 0);
         // Enough for the elements, not for the matrix.
-        let cast = within(1800 * elements, &scene).expect("solution");
+        let cast = within(needed(&scene, (256, 0.1)) + 200 * elements, &scene).expect("solution");
         assert!(cast.factors == Factors::CastAgain && cast.matrix_bytes == 0, "{material}");
         assert_eq!(kept.solution.radiosity, cast.solution.radiosity, "{material}");
         assert_eq!(kept.solution.standard_error, cast.solution.standard_error, "{material}");
@@ -74,6 +83,18 @@ fn rays_cast_again_give_the_same_solution() {
 fn too_little_is_refused() {
     let refused = within(1 << 10, &room("diffuse = 0.5")).err().expect("an error").to_string();
     assert!(refused.contains("--max-memory") && refused.contains("1.0 KiB"), "{refused}");
+}
+
+/// What threads hold of the rays that they cast, and the map that particles fill, count too: more rays, and a material that lets light
+/// over specular chains, need more even without a matrix.
+#[test]
+fn rays_and_caustics_need_memory() {
+    let needed = |material: &str, rays: u32| needed(&room(material), (rays, 0.1)) as f64;
+    let (few, many) = (needed("diffuse = 0.5", 1 << 10), needed("diffuse = 0.5", 1 << 20));
+    let threads = std::thread::available_parallelism().expect("threads").get().min(2) as f64;
+    assert!(many - few >= 0.9 * threads * 64.0 * f64::from((1 << 20) - (1 << 10)), "{few} {many}");
+    let glossy = needed("diffuse = 0.3\nspecular = 0.5\nroughness = 0.4", 1 << 10);
+    assert!(glossy > 2.0 * few, "{few} {glossy}");
 }
 
 /// Many elements have a coarse grid, and more of them tiles, where the matrix is kept; without memory for tiles these are given up
@@ -91,9 +112,10 @@ fn coarse_grids_and_tiles_change_no_solution() {
         let kept = solve(1 << 40, &scene, (8, size)).expect("solution");
         let elements = kept.solution.mesh.len() as u64;
         assert!(kept.factors == Factors::Kept && elements >= least, "{name}: {elements}");
-        // 1,700 bytes an element, and 4 for each ray, once more in tiles.
-        let (bytes, left) = if name == "tiles" { (1735, Factors::Kept) } else { (1701, Factors::CastAgain) };
-        let less = solve(bytes * elements, &scene, (8, size)).expect("solution");
+        // 4 bytes for each ray, once more in tiles.
+        let (bytes, left) = if name == "tiles" { (40, Factors::Kept) } else { (10, Factors::CastAgain) };
+        let limit = needed(&scene, (8, size)) + bytes * elements;
+        let less = solve(limit, &scene, (8, size)).expect("solution");
         assert!(less.factors == left, "{name}");
         let (a, b) = (&kept.solution, &less.solution);
         let largest = a.radiosity.iter().map(|b| b.max_element()).fold(0.0, f64::max);

@@ -90,6 +90,7 @@ fn malformed_mtl_names_file_line_and_material() {
         ("newmtl m\nKd spectral a.rfl 1\n", &["s.mtl:2", "spectral"]),
         ("newmtl m\nKd 0.1 -0.2 0.3\n", &["s.mtl:2", "\"m\"", "negative", "-0.2"]),
         ("newmtl m\n\nKe nan 0 0\n", &["s.mtl:3", "\"m\"", "Ke must be finite"]),
+        ("newmtl m\n\nKe 1e39 0 0\n", &["s.mtl:3", "\"m\"", "Ke must be at most 1e30"]),
         ("newmtl m\nNs x\n", &["s.mtl:2", "\"m\"", "\"x\" is not a number"]),
         ("newmtl m\nNs\n", &["s.mtl:2", "\"m\"", "Ns has no value"]),
         ("newmtl m\nNi -1\n", &["s.mtl:2", "Ni", "-1"]),
@@ -135,6 +136,7 @@ fn malformed_scene_file_names_file_line_and_part() {
         (material("diffuse = [0, 0]"), &["s.toml:3", "material \"red\"", "3 numbers, found 2"]),
         (material("diffuse = \"red\""), &["s.toml:3", "material \"red\"", "3 numbers, or one number"]),
         (material("emission = -1"), &["s.toml:3", "material \"red\"", "emission", "negative"]),
+        (material("emission = [1, 1e39, 1]"), &["s.toml:3", "material \"red\"", "emission", "at most 1e30"]),
         (material("roughness = 1.01"), &["s.toml:3", "material \"red\"", "roughness", "[0, 1]"]),
         (material("ior = 0"), &["s.toml:3", "material \"red\"", "ior must be above 0"]),
         (material("two_sided = 1"), &["s.toml:3", "material \"red\"", "true or false"]),
@@ -142,6 +144,7 @@ fn malformed_scene_file_names_file_line_and_part() {
         ("[environment]\nradiance = [0, 0, -1]\n".into(), &["s.toml:3", "environment", "negative"]),
         ("[radiosity]\nelement_size = 0\n".into(), &["s.toml:3", "element_size must be above 0"]),
         ("[radiosity]\nrays = 0\n".into(), &["s.toml:3", "rays", "from 1"]),
+        ("[radiosity]\nrays = 4294967295\n".into(), &["s.toml:3", "rays", "to 1073741824"]),
         ("[render]\nspp = 1.5\n".into(), &["s.toml:3", "spp must be a whole number"]),
         ("[render]\nquality = \"best\"\n".into(), &["s.toml:3", "mesh, direct, gather", "best"]),
     ];

@@ -25,6 +25,17 @@ const BITS: [i32; LANES] = {
 #[repr(C, align(64))]
 pub(super) struct Valid(pub(super) [i32; LANES]);
 
+impl Valid {
+    /// Makes lanes inactive whose origins Embree would not take.
+    fn keep_within(&mut self, origin: [&[f32; LANES]; 3]) {
+        for (l, valid) in self.0.iter_mut().enumerate() {
+            if origin.iter().map(|x| x[l].abs()).sum::<f32>() >= LIMIT {
+                *valid = 0;
+            }
+        }
+    }
+}
+
 /// Writes one ray into the lane of a ray structure.
 macro_rules! set_lane {
     ($rays:expr, $lane:expr, $ray:expr) => {{
@@ -145,12 +156,13 @@ impl RayPacket {
         }
     }
 
-    /// Multiplies lengths by a power of two.
+    /// Multiplies lengths by a power of two. Lanes of which an origin leaves Embree's range become inactive.
     pub(super) fn rescale(&mut self, scale: f32) {
         let r = &mut self.query.ray;
         for lanes in [&mut r.org_x, &mut r.org_y, &mut r.org_z, &mut r.tnear, &mut r.tfar] {
             lanes.iter_mut().for_each(|x| *x *= scale);
         }
+        self.valid.keep_within([&r.org_x, &r.org_y, &r.org_z]);
     }
 
     /// Makes every lane inactive.
@@ -220,12 +232,13 @@ impl ShadowPacket {
         self.valid.0[lane] = -i32::from(ray.is_valid());
     }
 
-    /// Multiplies lengths by a power of two.
+    /// Multiplies lengths by a power of two. Lanes of which an origin leaves Embree's range become inactive.
     pub(super) fn rescale(&mut self, scale: f32) {
         let r = &mut self.query;
         for lanes in [&mut r.org_x, &mut r.org_y, &mut r.org_z, &mut r.tnear, &mut r.tfar] {
             lanes.iter_mut().for_each(|x| *x *= scale);
         }
+        self.valid.keep_within([&r.org_x, &r.org_y, &r.org_z]);
     }
 
     /// Makes every lane inactive.

@@ -120,10 +120,11 @@ impl CommittedScene {
     /// The nearest hit of a ray; none for a ray that is not finite.
     #[inline]
     pub fn intersect(&self, ray: &Ray) -> Option<Hit> {
+        let ray = self.scaled(ray);
         if !ray.is_valid() {
             return None;
         }
-        let mut query = sys::RTCRayHit { ray: self.scaled(ray).to_raw(), hit: sys::RTCHit::default() };
+        let mut query = sys::RTCRayHit { ray: ray.to_raw(), hit: sys::RTCHit::default() };
         query.hit.geomID = MISS;
         // SAFETY: the scene is committed, and `query` is a whole, aligned RTCRayHit of the
         // installed headers.
@@ -145,10 +146,11 @@ impl CommittedScene {
     /// Whether any face lies on the ray between `tnear` and `tfar`.
     #[inline]
     pub fn occluded(&self, ray: &Ray) -> bool {
+        let ray = self.scaled(ray);
         if !ray.is_valid() {
             return false;
         }
-        let mut query = self.scaled(ray).to_raw();
+        let mut query = ray.to_raw();
         // SAFETY: the scene is committed, and `query` is a whole, aligned RTCRay.
         unsafe { sys::twopass_occluded1(self.scene.as_ptr(), &mut query) };
         query.tfar == f32::NEG_INFINITY

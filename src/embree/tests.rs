@@ -270,3 +270,23 @@ fn queries_of_all_widths_agree() {
     let bad = Ray::new(Vec3::NAN, Vec3::Z);
     assert!(Queries::new(&[bad; 16], Width::Eight).is_empty());
 }
+
+/// Scenes smaller than a centimetre grow before Embree sees them; rays that would leave its range by that meet nothing. Debian builds
+/// Embree with assertions: such a ray would end the process.
+#[test]
+fn rays_from_far_beyond_a_tiny_scene_meet_nothing() {
+    let (vertices, triangles, quads) = two_faces();
+    let vertices: Vec<[f32; 3]> = vertices.iter().map(|v| v.map(|x| 1e-3 * x)).collect();
+    let device = Device::new(1).expect("Embree");
+    let scene = CommittedScene::new(&device, &vertices, &triangles, &quads).expect("a tree");
+    let far = Ray::new(Vec3::new(1e16, 0.0, 0.0), Vec3::NEG_X);
+    assert!(scene.intersect(&far).is_none() && !scene.occluded(&far));
+    let (mut packet, mut shadow) = (RayPacket::new(), ShadowPacket::new());
+    for lane in 0..LANES {
+        packet.set(lane, &far);
+        shadow.set(lane, &far);
+    }
+    scene.intersect16(&mut packet, true);
+    assert!((0..LANES).all(|lane| packet.hit(lane).is_none()));
+    assert_eq!(scene.occluded16(&mut shadow, true), 0);
+}

@@ -74,6 +74,25 @@ struct Arrival {
     irradiance: [f32; 3],
 }
 
+fn area_of(mesh: &Mesh) -> f64 {
+    (0..mesh.len() as u32).map(|e| mesh.area(e)).sum()
+}
+
+/// Largest edge of the map's cells on elements of an area \[m\].
+fn cell_size(mesh: &Mesh, area: f64) -> f64 {
+    (mesh.element_size / FINENESS).max((area / MOST_CELLS).sqrt())
+}
+
+/// About how many cells the map has that [`trace_particles`] makes: for what memory they need.
+pub fn cells_of(mesh: &Mesh) -> f64 {
+    let of_triangles = |e: &u32| mesh.grid(mesh.place(*e).0).is_triangle();
+    let twice: f64 = (0..mesh.len() as u32).filter(of_triangles).map(|e| mesh.area(e)).sum();
+    let area = area_of(mesh);
+    let size = cell_size(mesh, area);
+    // A triangle's cells are half as large; faces are divided into whole cells, and so were the elements.
+    (1.25 * (area + twice) / size.powi(2)).max(mesh.len() as f64 * (mesh.element_size / size).powi(2))
+}
+
 /// Sends the particles of `work` from the emitters, equally many in each of `batches` independent randomisations.
 ///
 /// `rays` is the number of hemisphere rays an element that share the paths.
@@ -86,8 +105,7 @@ pub fn trace_particles(
     seed: u32,
 ) -> crate::Result<Caustic> {
     let scene = visibility.scene();
-    let area: f64 = (0..mesh.len() as u32).map(|e| mesh.area(e)).sum();
-    let size = (mesh.element_size / FINENESS).max((area / MOST_CELLS).sqrt());
+    let size = cell_size(mesh, area_of(mesh));
     let cells = Mesh::new(scene, &mesh.sides(), size, false)?;
     let particles = work.particles / batches;
     let tracer = Tracer { visibility, mesh, cells: &cells, emitters, work, rays, seed };

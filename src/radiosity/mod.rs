@@ -18,7 +18,7 @@ mod system;
 mod trust;
 mod uncertainty;
 
-pub use caustic::{Caustic, CausticMap, trace_particles};
+pub use caustic::{Caustic, CausticMap, cells_of as caustic_cells, trace_particles};
 pub use changes::Changes;
 pub use direct::sample_emitters;
 pub use directional::{Directional, solve_directional};

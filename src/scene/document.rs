@@ -1,5 +1,6 @@
 //! The TOML scene file as tables whose every entry knows its line.
 
+use super::material::MOST_RADIANCE;
 use crate::error::{Error, Result};
 use std::path::Path;
 use toml::Spanned;
@@ -200,6 +201,9 @@ impl<'a> Entry<'a> {
         };
         if color.min_element() < 0.0 {
             return Err(self.error(format!("must not be negative, is {color}")));
+        }
+        if color.max_element() > MOST_RADIANCE {
+            return Err(self.error(format!("must be at most {MOST_RADIANCE:e}, is {color}")));
         }
         Ok(color)
     }

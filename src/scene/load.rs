@@ -9,6 +9,7 @@ use super::path::CameraPath;
 use super::{RadiosityDefaults, RenderDefaults, Scene, mtl};
 use crate::color::Rgb;
 use crate::error::{Error, Result};
+use crate::sampling::MOST_SAMPLES;
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
@@ -128,11 +129,11 @@ fn read_settings(top: &Section<'_>, plan: &mut Plan) -> Result<()> {
         let size = radiosity.get("element_size").map(|e| e.positive()).transpose()?;
         plan.radiosity.element_size = size.map(|s| s * plan.unit);
         plan.radiosity.adaptive = radiosity.get("adaptive").map_or(Ok(false), |e| e.flag())?;
-        plan.radiosity.rays = radiosity.get("rays").map(|e| e.count(u32::MAX)).transpose()?;
+        plan.radiosity.rays = radiosity.get("rays").map(|e| e.count(MOST_SAMPLES)).transpose()?;
     }
     if let Some(render) = section("render")? {
         render.warn_unknown(&["spp", "quality"], &mut plan.warnings);
-        plan.render.spp = render.get("spp").map(|e| e.count(u32::MAX)).transpose()?;
+        plan.render.spp = render.get("spp").map(|e| e.count(MOST_SAMPLES)).transpose()?;
         if let Some(entry) = render.get("quality") {
             let quality = entry.text()?;
             if !QUALITIES.contains(&quality) {

@@ -2,6 +2,9 @@
 
 use crate::color::{self, Rgb};
 
+/// Larger radiances, or sums of them, would leave the range of single precision, in which images are written [W m^-2 sr^-1].
+pub(super) const MOST_RADIANCE: f64 = 1e30;
+
 /// How a surface reflects, transmits and emits. All albedos are products of the paper's
 /// `k` and `rho` (DESIGN section 2) and sum to at most 1 in each channel.
 #[derive(Debug, Clone, PartialEq)]

@@ -148,6 +148,8 @@ impl Scene {
         for f in &self.faces {
             f.vertices.iter().chain(f.normals.iter().flatten()).for_each(|i| eat(&i.to_le_bytes()));
             eat(&f.material.to_le_bytes());
+            // Decides which grids and nodes go together.
+            eat(&f.polygon.to_le_bytes());
         }
         for m in &self.materials {
             eat(format!("{m:?}").as_bytes());

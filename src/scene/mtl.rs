@@ -4,7 +4,7 @@
 //! rest: left to itself it panics on a colour of fewer than three values.
 
 use super::document::nearest;
-use super::material::Material;
+use super::material::{MOST_RADIANCE, Material};
 use crate::color::Rgb;
 use crate::error::{Error, Result};
 use std::path::Path;
@@ -141,6 +141,9 @@ impl Scan<'_> {
         let values = words.iter().map(|w| self.number(key, w)).collect::<Result<Vec<_>>>()?;
         if let Some(v) = values.iter().find(|v| **v < 0.0) {
             return Err(self.error(format!("{key} must not be negative, is {v}")));
+        }
+        if let Some(v) = values.iter().find(|v| **v > MOST_RADIANCE) {
+            return Err(self.error(format!("{key} must be at most {MOST_RADIANCE:e}, is {v:e}")));
         }
         match values[..] {
             // The format lets one value stand for all three.

@@ -345,6 +345,8 @@ fn fill(depth: &mut [f32], item: &mut [u32], ramp: &[f32], (start, slope, face):
 /// Adding it to a number from 0 to half of it rounds that to the nearest whole one, which then stands in the lowest bits:
 /// conversions of numbers that may be out of range do not vectorise.
 const ROUND: f32 = 8_388_608.0;
+/// Cells of a lattice from which on their numbers leave that range.
+const MOST_WHOLE: u64 = 1 << 22;
 
 /// The cell of a face in each of a run of pixels, from the direction to the first and its step.
 ///
@@ -356,16 +358,10 @@ fn locate(face: &Drawn, direction: DVec3, step: DVec3, ramp: &[f32], cells: &mut
     let (u0, u1) = linear(face.u * f64::from(grid.nu));
     let (v0, v1) = linear(face.v * f64::from(grid.nv));
     let (nu, nv) = (grid.nu as f32, grid.nv as f32);
-    if grid.len() >= 1 << 22 {
+    if grid.len() >= MOST_WHOLE || face.skew != [0.0; 2] {
         for (cell, k) in cells.iter_mut().zip(ramp) {
             let scale = 1.0 / (d0 + d1 * k);
-            *cell = grid.cell((u0 + u1 * k) * scale / nu, (v0 + v1 * k) * scale / nv);
-        }
-        return;
-    }
-    if face.skew != [0.0; 2] {
-        for (cell, k) in cells.iter_mut().zip(ramp) {
-            let scale = 1.0 / (d0 + d1 * k);
+            // Without a skew these are (u, v) themselves.
             let (u, v) = from_affine(face.skew, (u0 + u1 * k) * scale / nu, (v0 + v1 * k) * scale / nv);
             *cell = grid.cell(u, v);
         }
