@@ -97,6 +97,7 @@ TwopassReader *twopass_reader_open(const char *path, TwopassHeader *header, char
         header->height = spec.height;
         header->channels = spec.nchannels;
         header->srgb = is_srgb(spec.get_string_attribute("oiio:ColorSpace"));
+        header->rgbe = std::string(reader->input->format_name()) == "hdr";
         return reader.release();
     });
 }

@@ -43,12 +43,14 @@ void twopass_bytes_free(TwopassBytes *bytes);
 
 typedef struct TwopassReader TwopassReader;
 
-/* The first image of an open file; `srgb` is non-zero where samples are sRGB-encoded. */
+/* The first image of an open file; `srgb` is non-zero where samples are sRGB-encoded, `rgbe` where pixels share an exponent
+   (Radiance's format). */
 typedef struct TwopassHeader {
     int width;
     int height;
     int channels;
     int srgb;
+    int rgbe;
 } TwopassHeader;
 
 /* Opens an image file and reads its header; free the result with twopass_reader_free. */

@@ -167,8 +167,8 @@ pub fn write(image: &Image, path: &Path, options: &WriteOptions) -> Result<()> {
 
 /// Reads an image that OpenImageIO can read, as linear RGB.
 ///
-/// sRGB samples are decoded, a single grey channel is spread over the three, and what follows the
-/// third channel is left out.
+/// sRGB samples are decoded, mantissas of Radiance's format are read as the middle of what they stand for, a single grey channel is
+/// spread over the three, and what follows the third channel is left out.
 pub fn read(path: &Path) -> Result<Image> {
     // A file that is missing or closed to us says so better by itself.
     File::open(path).map_err(|e| Error::io(path, e))?;
@@ -186,6 +186,9 @@ pub fn read(path: &Path) -> Result<Image> {
     raw.resize(count, 0.0);
     reader.read(path, &mut raw)?;
 
+    if header.rgbe != 0 {
+        raw.chunks_exact_mut(channels).for_each(to_middle);
+    }
     let mut image = Image::new(width, height);
     for (to, from) in image.data.chunks_exact_mut(3).zip(raw.chunks_exact(channels)) {
         for (k, value) in to.iter_mut().enumerate() {
@@ -194,6 +197,17 @@ pub fn read(path: &Path) -> Result<Image> {
         }
     }
     Ok(image)
+}
+
+/// Moves a pixel whose channels share an exponent from the lower ends of its steps to their middle: mantissas are written without what
+/// comes after their 8 bits, so Radiance reads m as m + 1/2, and OpenImageIO as m. A channel without light stays dark.
+fn to_middle(pixel: &mut [f32]) {
+    let largest = pixel.iter().copied().fold(0.0, f32::max);
+    if largest.is_normal() {
+        // The largest mantissa has its highest bit set.
+        let step = f32::from_bits(largest.to_bits() & (0xff << 23)) / 128.0;
+        pixel.iter_mut().filter(|v| **v > 0.0).for_each(|v| *v += 0.5 * step);
+    }
 }
 
 /// Bytes that the shim owns.

@@ -60,14 +60,20 @@ fn float_formats_return_what_they_were_given() {
     }
     // Eight bits of mantissa, shared by the channels of a pixel; no negative values.
     let path = folder.path().join("a.hdr");
-    let mut image = image;
+    let mut image = gradient(64, 64);
     image.data.iter_mut().for_each(|v| *v = v.abs());
     write(&image, &path, &WriteOptions::default()).unwrap();
     let back = read(&path).unwrap();
     for (a, b) in image.data.chunks(3).zip(back.data.chunks(3)) {
         let largest = a.iter().copied().fold(0.0, f32::max);
-        assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() <= largest / 128.0), "{a:?} {b:?}");
+        let within =
+            |(a, b): (&f32, &f32)| (a - b).abs() <= largest / 256.0 || (*b == 0.0 && *a < largest / 128.0);
+        assert!(a.iter().zip(b).all(within), "{a:?} {b:?}");
     }
+    // No darker than it was: of 12,288 errors, uniform within steps of less than a hundredth, the mean is within 5e-5.
+    let sum = |image: &Image| image.data.iter().map(|v| f64::from(*v)).sum::<f64>();
+    let off = sum(&back) / sum(&image) - 1.0;
+    assert!(off.abs() < 2e-4, "{off}");
 }
 
 #[test]
