@@ -182,8 +182,37 @@ fn outputs_that_cannot_be_written_are_found_before_the_work() {
     room.fails(
         &["solve", "scene.toml", "-o", "a.npz", "--report", "scene.toml"],
         2,
-        &["scene.toml", "is the scene"],
+        &["scene.toml", "is read in this run"],
     );
+}
+
+#[test]
+#[cfg(unix)]
+fn what_is_read_is_not_replaced() {
+    let room = Files::new(CAMERA, &format!("mtllib room.mtl\n{ROOM}"));
+    fs::write(room.path("room.mtl"), "newmtl white\nKd 0.5 0.5 0.5\nnewmtl lamp\nKe 3 2 1\n").unwrap();
+    let solve = [&["solve", "scene.toml", "-o", "s.npz"], &QUICK[..]].concat();
+    room.done(&solve);
+    fs::create_dir(room.path("folder")).unwrap();
+    for (link, file) in [("o", "../room.obj"), ("m", "../room.mtl"), ("s", "../s.npz")] {
+        std::os::unix::fs::symlink(file, room.path("folder").join(link)).unwrap();
+    }
+    let inputs = ["room.obj", "room.mtl", "scene.toml", "s.npz"];
+    let before = inputs.map(|name| fs::read(room.path(name)).unwrap());
+    let says = "is read in this run and would be replaced";
+    for report in ["room.obj", "room.mtl", "./folder/../room.obj", "folder/o", "folder/m"] {
+        let report = ["--report", report];
+        room.fails(&[&solve[..], &report].concat(), 2, &[report[1], says]);
+        let factors = ["form-factors", "scene.toml", "-o", "f.npz"];
+        room.fails(&[&factors[..], &report].concat(), 2, &[report[1], says]);
+        let render = ["render", "scene.toml", "-o", "a.exr", "--solution", "s.npz"];
+        room.fails(&[&render[..], &report].concat(), 2, &[report[1], says]);
+    }
+    for report in ["s.npz", "folder/s", "scene.toml"] {
+        let render = ["render", "scene.toml", "-o", "a.exr", "--solution", "s.npz", "--report", report];
+        room.fails(&render, 2, &[report, says]);
+    }
+    assert!(inputs.map(|name| fs::read(room.path(name)).unwrap()) == before);
 }
 
 #[test]

@@ -1,9 +1,9 @@
 //! `twopass form-factors`.
 
 use super::args::{EnforceArg, FactorMethodArg, FormFactorArgs, MirrorArg, ViewArg};
-use super::check_outputs;
 use super::progress::Progress;
 use super::render::pass1;
+use super::{check_outputs, spare_inputs};
 use crate::embree::Device;
 use crate::form_factor::export::{self, View};
 use crate::form_factor::{
@@ -46,12 +46,13 @@ enum Format {
 pub fn run(args: &FormFactorArgs) -> Result<()> {
     let outputs = outputs(args)?;
     check_options(args, &outputs)?;
-    let files = outputs.iter().map(|o| &o.0).filter(|path| !is_stdout(path));
-    check_outputs(&args.scene, files.chain(&args.report))?;
+    let files = outputs.iter().map(|o| &o.0).filter(|path| !is_stdout(path)).chain(&args.report);
+    check_outputs([&args.scene], files.clone())?;
     let progress = Progress::new(args.common.quiet);
     let observer = &|e| progress.tell(e);
     let mut stages: Vec<Stage> = Vec::new();
     let scene = pipeline::stage("load", 0, observer, &mut stages, || (load(&args.scene), 0))?;
+    spare_inputs(&scene.files, files)?;
     scene.warnings.iter().for_each(|w| progress.warn(w));
     let settings = pass1(&args.pass1, &scene, args.common.seed);
     // Exact factors between objects do not depend on elements: whole faces are few.

@@ -16,7 +16,7 @@ use clap::Parser;
 use std::collections::HashSet;
 use std::fmt::Display;
 use std::io::{self, ErrorKind, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 /// Runs the program with the process's arguments.
@@ -79,23 +79,33 @@ fn print(text: &str) -> Result<()> {
     }
 }
 
-/// Refuses outputs that cannot be written, or that would replace the scene or each other, before
-/// any work is done.
-fn check_outputs<'a>(scene: &Path, outputs: impl IntoIterator<Item = &'a PathBuf>) -> Result<()> {
-    let mut taken = HashSet::from([place(scene)]);
-    for path in outputs {
+/// Refuses outputs that cannot be written, or that would replace each other or what is read, before any work is done.
+fn check_outputs<'a>(
+    inputs: impl IntoIterator<Item = &'a PathBuf>,
+    outputs: impl IntoIterator<Item = &'a PathBuf> + Clone,
+) -> Result<()> {
+    let mut taken = HashSet::new();
+    for path in outputs.clone() {
         output::check(path)?;
-        if !taken.insert(place(path)) {
-            let message = "is the scene, or an output given twice; choose another name";
+        if !taken.insert(output::place(path)) {
+            let message = "is an output given twice; choose another name";
             return Err(Error::Usage(format!("{}: {message}", path.display())));
         }
     }
-    Ok(())
+    spare_inputs(inputs, outputs)
 }
 
-/// The one name of a file that may not exist yet.
-fn place(path: &Path) -> PathBuf {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let name = path.file_name().unwrap_or_default();
-    folder.canonicalize().unwrap_or_else(|_| folder.into()).join(name)
+/// Refuses outputs that would replace what is read.
+fn spare_inputs<'a>(
+    inputs: impl IntoIterator<Item = &'a PathBuf>,
+    outputs: impl IntoIterator<Item = &'a PathBuf>,
+) -> Result<()> {
+    let inputs: HashSet<PathBuf> = inputs.into_iter().map(|path| output::place(path)).collect();
+    match outputs.into_iter().find(|path| inputs.contains(&output::place(path))) {
+        Some(path) => {
+            let message = "is read in this run and would be replaced; choose another name";
+            Err(Error::Usage(format!("{}: {message}", path.display())))
+        }
+        None => Ok(()),
+    }
 }

@@ -1,9 +1,9 @@
 //! `twopass render`.
 
 use super::args::{AdaptiveArgs, EstimatorArg, MethodArg, Pass1Args, QualityArg, RenderArgs};
-use super::check_outputs;
 use super::frames::{Pattern, check_range, refuse_pattern};
 use super::progress::Progress;
+use super::{check_outputs, spare_inputs};
 use crate::accuracy::{Achieved, View, render_to_error};
 use crate::adaptive::{self, Adapted};
 use crate::embree::Device;
@@ -30,6 +30,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     let scene = pipeline::stage("load", 0, observer, &mut stages, || (load(&args.scene), 0))?;
     scene.warnings.iter().for_each(|w| progress.warn(w));
     let cameras = cameras(args, &scene)?;
+    spare_inputs(scene.files.iter().chain(&args.solution), &files(args, &patterns, &cameras))?;
     let kept = args.solution.as_ref().map(|path| {
         pipeline::stage("solution", 0, observer, &mut stages, || (Solution::read_npz(&scene, path), 0))
     });
@@ -288,17 +289,25 @@ fn check_options(args: &RenderArgs) -> Result<()> {
 
 /// Checks what is to be written; the names of the frames, where a path is rendered.
 fn outputs(args: &RenderArgs) -> Result<Vec<Pattern>> {
+    let inputs = [&args.scene].into_iter().chain(&args.solution);
     let Some(frames) = &args.frames else {
         args.output.iter().try_for_each(|o| refuse_pattern(o))?;
         args.output.iter().try_for_each(|o| image::supported(o))?;
-        check_outputs(&args.scene, args.output.iter().chain(&args.report))?;
+        check_outputs(inputs, args.output.iter().chain(&args.report))?;
         return Ok(Vec::new());
     };
     let patterns: Vec<Pattern> = args.output.iter().map(|o| Pattern::new(o)).collect::<Result<_>>()?;
     let first: Vec<PathBuf> = patterns.iter().map(|p| p.file(*frames.start())).collect();
     first.iter().try_for_each(|o| image::supported(o))?;
-    check_outputs(&args.scene, first.iter().chain(&args.report))?;
+    check_outputs(inputs, first.iter().chain(&args.report))?;
     Ok(patterns)
+}
+
+/// All files that will be written.
+fn files(args: &RenderArgs, patterns: &[Pattern], cameras: &[(u32, Camera)]) -> Vec<PathBuf> {
+    let pictures = patterns.iter().flat_map(|p| cameras.iter().map(|c| p.file(c.0)));
+    let named = if args.frames.is_some() { &[][..] } else { &args.output };
+    pictures.chain(named.iter().chain(&args.report).cloned()).collect()
 }
 
 /// The camera, or that of each frame, with their numbers.
