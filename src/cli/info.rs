@@ -2,7 +2,7 @@
 
 use super::args::InfoArgs;
 use super::render::pass1;
-use super::{print, say};
+use super::{length, print, say};
 use crate::Result;
 use crate::embree::Device;
 use crate::mesh::{Mesh, default_element_size};
@@ -24,7 +24,7 @@ pub fn run(args: &InfoArgs) -> Result<()> {
     let mut lines = describe_scene(&scene);
     let sides = 2 * scene.faces.len();
     lines.push(format!("  sides         {} of {sides} can be reached by light or a camera", reached.count()));
-    lines.push(format!("  elements      {} of at most {size:.6} m", mesh.len()));
+    lines.push(format!("  elements      {} of at most {} m", mesh.len(), length(size)));
     lines.push("  materials".into());
     lines.extend(scene.materials.iter().map(|m| format!("    {:12} {}", m.name, describe(m))));
     let features = Features::of(&scene).list();
@@ -43,7 +43,7 @@ fn describe_scene(scene: &Scene) -> Vec<String> {
         format!("  polygons      {}", scene.polygon_count),
         format!("  faces         {} ({} triangles, {quads} quads)", scene.faces.len(), scene.triangle_count),
         format!("  objects       {}", scene.objects.join(", ")),
-        format!("  centre        {} m, radius {:.6} m", scene.center, scene.radius),
+        format!("  centre        {} m, radius {} m", scene.center, length(scene.radius)),
     ];
     for camera in &scene.cameras {
         lines.push(format!("  camera        {} ({} x {})", camera.name, camera.size[0], camera.size[1]));

@@ -109,3 +109,25 @@ fn spare_inputs<'a>(
         None => Ok(()),
     }
 }
+
+/// A length as text, to four digits that count.
+fn length(metres: f64) -> String {
+    let rounded: f64 = format!("{metres:.3e}").parse().unwrap_or(metres);
+    if rounded == 0.0 || (1e-4..1e9).contains(&rounded.abs()) {
+        rounded.to_string()
+    } else {
+        format!("{rounded:e}")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_have_digits_that_count() {
+        let lengths = [0.0, 0.000_25, 0.000_123_456, 1.5e-7, 0.1 + 0.2, 2.0, 1234.56, 123_456.7, 3e12];
+        let texts = lengths.map(length);
+        assert_eq!(texts, ["0", "0.00025", "0.0001235", "1.5e-7", "0.3", "2", "1235", "123500", "3e12"]);
+    }
+}

@@ -3,7 +3,7 @@
 use super::args::{AdaptiveArgs, EstimatorArg, MethodArg, Pass1Args, QualityArg, RenderArgs};
 use super::frames::{Pattern, check_range, refuse_pattern};
 use super::progress::Progress;
-use super::{check_outputs, spare_inputs};
+use super::{check_outputs, length, spare_inputs};
 use crate::accuracy::{Achieved, View, render_to_error};
 use crate::adaptive::{self, Adapted};
 use crate::embree::Device;
@@ -245,9 +245,9 @@ impl<'s> Ready<'_, 's> {
             pass1.adaptive = first.adapted;
             tell_adapted(progress, &pass1);
             progress.line(&format!(
-                "{} elements of at most {:.4} m, standard error {:.2} %, energy residual {:.2} %",
+                "{} elements of at most {} m, standard error {:.2} %, energy residual {:.2} %",
                 pass1.elements,
-                pass1.element_size,
+                length(pass1.element_size),
                 100.0 * pass1.standard_errors.relative_rms,
                 100.0 * pass1.energy.residual.abs().max_element()
             ));
@@ -257,9 +257,9 @@ impl<'s> Ready<'_, 's> {
             let file = path.display().to_string();
             let mesh = &kept.solution.mesh;
             progress.line(&format!(
-                "{} elements of at most {:.4} m, solved before",
+                "{} elements of at most {} m, solved before",
                 mesh.len(),
-                mesh.element_size
+                length(mesh.element_size)
             ));
             report.solution = Some(KeptReport { file, about: kept.about.clone() });
         }
@@ -342,14 +342,14 @@ fn tell_frames(progress: &Progress, frames: &[FrameTime], stage: Option<&Stage>)
 /// Says how wrong the picture is and what was chosen for it.
 fn tell_accuracy(progress: &Progress, a: &Achieved) {
     progress.line(&format!(
-        "error {:.2} % (noise {:.2} %, elements {:.2} %) for {:.2} % asked: quality {}, elements of at most {:.4} m, {} rays an \
+        "error {:.2} % (noise {:.2} %, elements {:.2} %) for {:.2} % asked: quality {}, elements of at most {} m, {} rays an \
          element, {} samples a pixel",
         100.0 * a.relative_rmse,
         100.0 * a.noise,
         100.0 * a.discretisation,
         100.0 * a.asked,
         a.quality,
-        a.element_size,
+        length(a.element_size),
         a.rays,
         a.spp
     ));
@@ -369,11 +369,11 @@ pub fn tell_factors(progress: &Progress, result: &Pass1Result) {
 pub fn tell_adapted(progress: &Progress, pass1: &Pass1Report) {
     let Some(adapted) = &pass1.adaptive else { return };
     progress.line(&format!(
-        "{} elements in {} {}, the finest of at most {:.4} m; uniform ones would be {}",
+        "{} elements in {} {}, the finest of at most {} m; uniform ones would be {}",
         pass1.elements,
         adapted.elements.len(),
         if adapted.elements.len() == 1 { "pass" } else { "passes" },
-        pass1.element_size,
+        length(pass1.element_size),
         adapted.uniform_elements
     ));
 }
