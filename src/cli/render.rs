@@ -224,6 +224,9 @@ impl<'s> Ready<'_, 's> {
                     let (image, traced) = picture(&cameras[0].1);
                     pictures.dropped = Some(traced.dropped);
                     (image, traced.rays)
+            // Mostly beside `trace`, on a thread of its own.
+            let seconds = pictures.frames.iter().map(|f| f.write_seconds).sum();
+            stages.push(Stage { name: "write", seconds, rays: 0 });
                 });
                 &traced
             }
