@@ -454,6 +454,30 @@ fn info_says_what_is_modelled_and_what_is_not() {
 }
 
 #[test]
+/// What a camera sees on its way counts, here the inside of a second, dark box.
+#[test]
+fn info_and_solve_have_the_same_elements() {
+    // Its vertices follow the twelve of the room and its panel.
+    let later = |k: &str| format!(" {}", k.parse::<u32>().unwrap() + 12);
+    let moved = |line: &str| match line.split_once(' ') {
+        Some(("v", at)) => format!("v 1{at}\n"),
+        Some(("f", ids)) => format!("f{}\n", ids.split(' ').map(later).collect::<String>()),
+        _ => format!("{}\n", line.replace("cube", "far")),
+    };
+    let far: String = ROOM.lines().take_while(|l| *l != "o panel").map(moved).collect();
+    let keys = "[[camera.keyframe]]\nframe = 1\n[[camera.keyframe]]\nframe = 2\n\
+        origin = [10.5, 0.4, 0.95]\ntarget = [10.5, 0.4, 0]\n";
+    let files = Files::new(&format!("{CAMERA}{keys}{MATERIALS}"), &format!("{ROOM}{far}"));
+    files.done(&[&["solve", "scene.toml", "-o", "s.npz", "--report", "r.json"], &QUICK[..]].concat());
+    let report: serde_json::Value = serde_json::from_slice(&fs::read(files.path("r.json")).unwrap()).unwrap();
+    let elements = report["elements"].as_u64().unwrap();
+    assert_eq!(elements, 2 * 6 * 4 + 1, "both boxes, and the black lamp for its power");
+    let run = files.done(&["info", "scene.toml", "--element-size", "0.5", "--seed", "3"]);
+    let text = String::from_utf8(run.stdout).unwrap();
+    assert!(text.contains(&format!("elements      {elements} of at most 0.5 m\n")), "{text}");
+    files.fails(&["info", "scene.toml", "--rays", "7"], 2, &["--rays"]);
+}
+
 #[cfg(unix)]
 fn a_closed_pipe_is_no_panic() {
     let room = Files::room();

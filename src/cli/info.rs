@@ -6,8 +6,9 @@ use super::{length, print, say};
 use crate::Result;
 use crate::embree::Device;
 use crate::mesh::{Mesh, default_element_size};
+use crate::pipeline;
 use crate::scene::{Features, Scene, load};
-use crate::visibility::{Visibility, reachable_sides};
+use crate::visibility::Visibility;
 
 pub fn run(args: &InfoArgs) -> Result<()> {
     let scene = load(&args.scene)?;
@@ -17,8 +18,7 @@ pub fn run(args: &InfoArgs) -> Result<()> {
     let device = Device::new(rayon::current_num_threads())?;
     let visibility = Visibility::new(&device, &scene)?;
     let settings = pass1(&args.pass1, &scene, args.common.seed);
-    let frames: Vec<_> = scene.cameras.iter().map(|c| (c.frame(&scene), c.size)).collect();
-    let reached = reachable_sides(&visibility, &frames, settings.seed);
+    let reached = pipeline::reached(&visibility, &scene.view_points(), settings.seed, &|_| {});
     let size = settings.element_size.unwrap_or_else(|| default_element_size(&scene));
     let mesh = Mesh::new(&scene, &reached, size, false)?;
     let mut lines = describe_scene(&scene);
