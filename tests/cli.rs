@@ -289,7 +289,7 @@ fn quiet_is_quiet_and_progress_goes_to_standard_error() {
 fn reports_hold_the_fixed_names() {
     let room = Files::room();
     let stages_of = |args: &[&str]| -> (Vec<String>, serde_json::Value) {
-        room.done(&[args, &["--report", "r.json", "--threads", "1"], &QUICK].concat());
+        room.done(&[args, &["--report", "r.json", "--threads", "1"]].concat());
         let report: serde_json::Value =
             serde_json::from_slice(&fs::read(room.path("r.json")).unwrap()).unwrap();
         let stages = report["stages"].as_array().unwrap();
@@ -299,7 +299,8 @@ fn reports_hold_the_fixed_names() {
         let names = stages.iter().map(|s| s["name"].as_str().unwrap().to_string()).collect();
         (names, report)
     };
-    let (stages, report) = stages_of(&["render", "scene.toml", "-o", "a.exr", "--spp", "2", "--seed", "7"]);
+    let quick = |args: &[&str]| stages_of(&[args, &QUICK].concat());
+    let (stages, report) = quick(&["render", "scene.toml", "-o", "a.exr", "--spp", "2", "--seed", "7"]);
     assert_eq!(stages, ["load", "build", "form-factors", "solve", "trace", "write"]);
     assert!(report["stages"][2]["rays"].as_u64() > Some(0) && report["stages"][4]["rays"].as_u64() > Some(0));
     assert_eq!(report["elements"], 6 * 4 + 1, "the black lamp has one, for its power");
@@ -323,9 +324,9 @@ fn reports_hold_the_fixed_names() {
         stages_of(&["render", "scene.toml", "-o", "a.exr", "--spp", "2", "--method", "path"]);
     assert_eq!(stages, ["load", "build", "trace", "write"]);
     assert!(report.get("pass1").is_none());
-    let (stages, _) = stages_of(&["solve", "scene.toml", "-o", "a.npz"]);
+    let (stages, _) = quick(&["solve", "scene.toml", "-o", "a.npz"]);
     assert_eq!(stages, ["load", "build", "form-factors", "solve", "write"]);
-    let (stages, report) = stages_of(&["form-factors", "room.obj", "-o", "f.npz"]);
+    let (stages, report) = quick(&["form-factors", "room.obj", "-o", "f.npz"]);
     assert_eq!(stages, ["load", "build", "form-factors", "write"]);
     assert_eq!(report["elements"], 6 * 4 + 1);
     assert!(report["form_factors"]["closure"].as_f64() < Some(1e-6), "{}", report["form_factors"]);
@@ -422,10 +423,10 @@ fn images_do_not_depend_on_the_run_or_on_threads() {
          [materials.pane]\ndiffuse = 0.3\ndiffuse_transmission = 0.4\n"
     );
     let files = Files::new(&toml, &obj);
-    for method in ["two-pass", "path"] {
+    for (method, quick) in [("two-pass", &QUICK[..]), ("path", &[])] {
         let render = |name: &str, threads: &str| {
             let args = ["render", "scene.toml", "-o", name, "--spp", "3", "--threads", threads];
-            files.done(&[&args[..], &["--method", method], &QUICK[..]].concat());
+            files.done(&[&args[..], &["--method", method], quick].concat());
             let image = read_exr(&files.path(name)).unwrap();
             assert!(image.data.iter().all(|v| v.is_finite()) && image.data.iter().any(|v| *v > 0.0));
             image.data.iter().map(|v| v.to_bits()).collect::<Vec<_>>()
@@ -453,7 +454,6 @@ fn info_says_what_is_modelled_and_what_is_not() {
     assert_eq!(run.stderr, "");
 }
 
-#[test]
 /// What a camera sees on its way counts, here the inside of a second, dark box.
 #[test]
 fn info_and_solve_have_the_same_elements() {
@@ -478,6 +478,7 @@ fn info_and_solve_have_the_same_elements() {
     files.fails(&["info", "scene.toml", "--rays", "7"], 2, &["--rays"]);
 }
 
+#[test]
 #[cfg(unix)]
 fn a_closed_pipe_is_no_panic() {
     let room = Files::room();

@@ -20,7 +20,7 @@ const CAMERA: &str = "[camera]\nfov = 60\nsize = [12, 8]\n\
     [[camera.keyframe]]\nframe = 8\norigin = [0.7, 0.5, 0.9]\ntarget = [0.2, 0.4, 0]\n";
 const LAMP: &str = "[materials.lamp]\nemission = [3, 2, 1]\n";
 const QUICK: [&str; 4] = ["--rays", "64", "--element-size", "0.25"];
-const PASS2: [&str; 6] = ["--spp", "2", "--gather-rays", "8", "--quiet", "--seed=3"];
+const PASS2: [&str; 4] = ["--spp", "2", "--quiet", "--seed=3"];
 
 struct Files(tempfile::TempDir);
 

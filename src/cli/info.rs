@@ -1,7 +1,7 @@
 //! `twopass info`.
 
 use super::args::InfoArgs;
-use super::render::pass1;
+use super::render::element_size;
 use super::{length, print, say};
 use crate::Result;
 use crate::embree::Device;
@@ -17,9 +17,8 @@ pub fn run(args: &InfoArgs) -> Result<()> {
     }
     let device = Device::new(rayon::current_num_threads())?;
     let visibility = Visibility::new(&device, &scene)?;
-    let settings = pass1(&args.pass1, &scene, args.common.seed);
-    let reached = pipeline::reached(&visibility, &scene.view_points(), settings.seed, &|_| {});
-    let size = settings.element_size.unwrap_or_else(|| default_element_size(&scene));
+    let reached = pipeline::reached(&visibility, &scene.view_points(), args.common.seed, &|_| {});
+    let size = element_size(&args.elements, &scene).unwrap_or_else(|| default_element_size(&scene));
     let mesh = Mesh::new(&scene, &reached, size, false)?;
     let mut lines = describe_scene(&scene);
     let sides = 2 * scene.faces.len();

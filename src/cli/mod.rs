@@ -6,6 +6,7 @@ mod compare;
 mod form_factors;
 mod frames;
 mod info;
+mod options;
 mod progress;
 mod render;
 mod solve;
