@@ -4,7 +4,7 @@
 //! Read with or without, as `numpy.savez_compressed` may have written it.
 
 use npyz::{AutoSerialize, DType, TypeWrite, WriterBuilder};
-use std::io::{Read, Result, Seek, Write};
+use std::io::{ErrorKind, Read, Result, Seek, SeekFrom, Write};
 use zip::result::{ZipError, ZipResult};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipArchive, ZipWriter};
@@ -14,13 +14,48 @@ const BUFFER: usize = 1 << 16;
 /// Bytes of an array's file before its values, at most.
 const HEADER: u64 = 1 << 16;
 
+/// Where a file is that takes nothing any more: behind whatever was written.
+const NOWHERE: u64 = 1 << 48;
+
 /// A file that is being written.
-pub struct Writer<W: Write + Seek>(ZipWriter<W>);
+pub struct Writer<W: Write + Seek>(ZipWriter<Told<W>>);
+
+/// A file whose first failure is told, and whose later ones are not: an archive that was given up is ended when it is dropped,
+/// and what fails then is printed.
+struct Told<W> {
+    file: W,
+    failed: bool,
+}
+
+impl<W> Told<W> {
+    fn unless_failed<T>(&mut self, otherwise: T, work: impl FnOnce(&mut W) -> Result<T>) -> Result<T> {
+        if self.failed {
+            return Ok(otherwise);
+        }
+        work(&mut self.file).inspect_err(|e| self.failed = e.kind() != ErrorKind::Interrupted)
+    }
+}
+
+impl<W: Write> Write for Told<W> {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize> {
+        self.unless_failed(bytes.len(), |file| file.write(bytes))
+    }
+
+    fn flush(&mut self) -> Result<()> {
+        self.unless_failed((), W::flush)
+    }
+}
+
+impl<W: Seek> Seek for Told<W> {
+    fn seek(&mut self, to: SeekFrom) -> Result<u64> {
+        self.unless_failed(NOWHERE, |file| file.seek(to))
+    }
+}
 
 impl<W: Write + Seek> Writer<W> {
     /// Begins a file.
     pub fn new(file: W) -> Writer<W> {
-        Writer(ZipWriter::new(file))
+        Writer(ZipWriter::new(Told { file, failed: false }))
     }
 
     /// Adds an array, rows first; `values` are as many as `shape` says.
@@ -67,7 +102,7 @@ impl<W: Write + Seek> Writer<W> {
         writer.finish()
     }
 
-    fn entry(&mut self, name: &str) -> Result<&mut ZipWriter<W>> {
+    fn entry(&mut self, name: &str) -> Result<&mut ZipWriter<Told<W>>> {
         // More than 4 GiB need to be announced before it is known how much there is.
         let stored =
             SimpleFileOptions::default().compression_method(CompressionMethod::Stored).large_file(true);
@@ -80,7 +115,11 @@ impl<W: Write + Seek> Writer<W> {
     /// # Errors
     /// Those of the file.
     pub fn finish(self) -> Result<W> {
-        Ok(self.0.finish()?)
+        let Told { file, failed } = self.0.finish()?;
+        if failed {
+            return Err(std::io::Error::other("an array before could not be written"));
+        }
+        Ok(file)
     }
 }
 
@@ -118,5 +157,67 @@ impl<R: Read + Seek> Reader<R> {
             return Err(ZipError::InvalidArchive("it is longer than it can be".into()));
         }
         Ok(Some(bytes))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::cell::Cell;
+
+    /// A disk that is full after some bytes, and what was asked of it then.
+    struct Full<'a> {
+        free: usize,
+        at: u64,
+        asked: &'a Cell<u32>,
+    }
+
+    impl Full<'_> {
+        fn refuse<T>(&self) -> Result<T> {
+            self.asked.set(self.asked.get() + 1);
+            Err(ErrorKind::StorageFull.into())
+        }
+    }
+
+    impl Write for Full<'_> {
+        fn write(&mut self, bytes: &[u8]) -> Result<usize> {
+            if self.free < bytes.len() {
+                return self.refuse();
+            }
+            (self.free, self.at) = (self.free - bytes.len(), self.at + bytes.len() as u64);
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> Result<()> {
+            Ok(())
+        }
+    }
+
+    impl Seek for Full<'_> {
+        fn seek(&mut self, to: SeekFrom) -> Result<u64> {
+            if let SeekFrom::Start(at) = to {
+                self.at = at;
+            }
+            Ok(self.at)
+        }
+    }
+
+    /// Nothing is tried again, whose failure would be printed in the middle of what the program says.
+    #[test]
+    fn a_full_disk_is_told_once() {
+        let asked = Cell::new(0);
+        let write = |free: usize| {
+            asked.set(0);
+            let mut npz = Writer::new(Full { free, at: 0, asked: &asked });
+            npz.array("a", &[100], (0..100).map(f64::from))?;
+            npz.text("b", "text")?;
+            npz.finish().map(drop)
+        };
+        let mut failed = 0;
+        for free in (0..).step_by(7).take_while(|free| write(*free).is_err()) {
+            assert_eq!((asked.get(), write(free).unwrap_err().kind()), (1, ErrorKind::StorageFull), "{free}");
+            failed += 1;
+        }
+        assert!(failed > 100, "{failed}");
     }
 }

@@ -48,7 +48,7 @@ pub type Observer<'a> = &'a (dyn Fn(Event) + Sync);
 pub struct Stage {
     /// `load`, `build`, `form-factors`, `solve`, `trace` or `write`.
     pub name: &'static str,
-    /// Wall time \[s\].
+    /// Wall time \[s\]. Of many frames, `write` is what encoding and writing took beside `trace`, which it does not add to.
     pub seconds: f64,
     /// Rays cast.
     pub rays: u64,

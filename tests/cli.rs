@@ -182,8 +182,37 @@ fn outputs_that_cannot_be_written_are_found_before_the_work() {
     room.fails(
         &["solve", "scene.toml", "-o", "a.npz", "--report", "scene.toml"],
         2,
-        &["scene.toml", "is the scene"],
+        &["scene.toml", "is read in this run"],
     );
+}
+
+#[test]
+#[cfg(unix)]
+fn what_is_read_is_not_replaced() {
+    let room = Files::new(CAMERA, &format!("mtllib room.mtl\n{ROOM}"));
+    fs::write(room.path("room.mtl"), "newmtl white\nKd 0.5 0.5 0.5\nnewmtl lamp\nKe 3 2 1\n").unwrap();
+    let solve = [&["solve", "scene.toml", "-o", "s.npz"], &QUICK[..]].concat();
+    room.done(&solve);
+    fs::create_dir(room.path("folder")).unwrap();
+    for (link, file) in [("o", "../room.obj"), ("m", "../room.mtl"), ("s", "../s.npz")] {
+        std::os::unix::fs::symlink(file, room.path("folder").join(link)).unwrap();
+    }
+    let inputs = ["room.obj", "room.mtl", "scene.toml", "s.npz"];
+    let before = inputs.map(|name| fs::read(room.path(name)).unwrap());
+    let says = "is read in this run and would be replaced";
+    for report in ["room.obj", "room.mtl", "./folder/../room.obj", "folder/o", "folder/m"] {
+        let report = ["--report", report];
+        room.fails(&[&solve[..], &report].concat(), 2, &[report[1], says]);
+        let factors = ["form-factors", "scene.toml", "-o", "f.npz"];
+        room.fails(&[&factors[..], &report].concat(), 2, &[report[1], says]);
+        let render = ["render", "scene.toml", "-o", "a.exr", "--solution", "s.npz"];
+        room.fails(&[&render[..], &report].concat(), 2, &[report[1], says]);
+    }
+    for report in ["s.npz", "folder/s", "scene.toml"] {
+        let render = ["render", "scene.toml", "-o", "a.exr", "--solution", "s.npz", "--report", report];
+        room.fails(&render, 2, &[report, says]);
+    }
+    assert!(inputs.map(|name| fs::read(room.path(name)).unwrap()) == before);
 }
 
 #[test]
@@ -260,7 +289,7 @@ fn quiet_is_quiet_and_progress_goes_to_standard_error() {
 fn reports_hold_the_fixed_names() {
     let room = Files::room();
     let stages_of = |args: &[&str]| -> (Vec<String>, serde_json::Value) {
-        room.done(&[args, &["--report", "r.json", "--threads", "1"], &QUICK].concat());
+        room.done(&[args, &["--report", "r.json", "--threads", "1"]].concat());
         let report: serde_json::Value =
             serde_json::from_slice(&fs::read(room.path("r.json")).unwrap()).unwrap();
         let stages = report["stages"].as_array().unwrap();
@@ -270,7 +299,8 @@ fn reports_hold_the_fixed_names() {
         let names = stages.iter().map(|s| s["name"].as_str().unwrap().to_string()).collect();
         (names, report)
     };
-    let (stages, report) = stages_of(&["render", "scene.toml", "-o", "a.exr", "--spp", "2", "--seed", "7"]);
+    let quick = |args: &[&str]| stages_of(&[args, &QUICK].concat());
+    let (stages, report) = quick(&["render", "scene.toml", "-o", "a.exr", "--spp", "2", "--seed", "7"]);
     assert_eq!(stages, ["load", "build", "form-factors", "solve", "trace", "write"]);
     assert!(report["stages"][2]["rays"].as_u64() > Some(0) && report["stages"][4]["rays"].as_u64() > Some(0));
     assert_eq!(report["elements"], 6 * 4 + 1, "the black lamp has one, for its power");
@@ -294,9 +324,9 @@ fn reports_hold_the_fixed_names() {
         stages_of(&["render", "scene.toml", "-o", "a.exr", "--spp", "2", "--method", "path"]);
     assert_eq!(stages, ["load", "build", "trace", "write"]);
     assert!(report.get("pass1").is_none());
-    let (stages, _) = stages_of(&["solve", "scene.toml", "-o", "a.npz"]);
+    let (stages, _) = quick(&["solve", "scene.toml", "-o", "a.npz"]);
     assert_eq!(stages, ["load", "build", "form-factors", "solve", "write"]);
-    let (stages, report) = stages_of(&["form-factors", "room.obj", "-o", "f.npz"]);
+    let (stages, report) = quick(&["form-factors", "room.obj", "-o", "f.npz"]);
     assert_eq!(stages, ["load", "build", "form-factors", "write"]);
     assert_eq!(report["elements"], 6 * 4 + 1);
     assert!(report["form_factors"]["closure"].as_f64() < Some(1e-6), "{}", report["form_factors"]);
@@ -393,10 +423,10 @@ fn images_do_not_depend_on_the_run_or_on_threads() {
          [materials.pane]\ndiffuse = 0.3\ndiffuse_transmission = 0.4\n"
     );
     let files = Files::new(&toml, &obj);
-    for method in ["two-pass", "path"] {
+    for (method, quick) in [("two-pass", &QUICK[..]), ("path", &[])] {
         let render = |name: &str, threads: &str| {
             let args = ["render", "scene.toml", "-o", name, "--spp", "3", "--threads", threads];
-            files.done(&[&args[..], &["--method", method], &QUICK[..]].concat());
+            files.done(&[&args[..], &["--method", method], quick].concat());
             let image = read_exr(&files.path(name)).unwrap();
             assert!(image.data.iter().all(|v| v.is_finite()) && image.data.iter().any(|v| *v > 0.0));
             image.data.iter().map(|v| v.to_bits()).collect::<Vec<_>>()
@@ -422,6 +452,30 @@ fn info_says_what_is_modelled_and_what_is_not() {
         assert!(text.contains(part), "{part}: {text}");
     }
     assert_eq!(run.stderr, "");
+}
+
+/// What a camera sees on its way counts, here the inside of a second, dark box.
+#[test]
+fn info_and_solve_have_the_same_elements() {
+    // Its vertices follow the twelve of the room and its panel.
+    let later = |k: &str| format!(" {}", k.parse::<u32>().unwrap() + 12);
+    let moved = |line: &str| match line.split_once(' ') {
+        Some(("v", at)) => format!("v 1{at}\n"),
+        Some(("f", ids)) => format!("f{}\n", ids.split(' ').map(later).collect::<String>()),
+        _ => format!("{}\n", line.replace("cube", "far")),
+    };
+    let far: String = ROOM.lines().take_while(|l| *l != "o panel").map(moved).collect();
+    let keys = "[[camera.keyframe]]\nframe = 1\n[[camera.keyframe]]\nframe = 2\n\
+        origin = [10.5, 0.4, 0.95]\ntarget = [10.5, 0.4, 0]\n";
+    let files = Files::new(&format!("{CAMERA}{keys}{MATERIALS}"), &format!("{ROOM}{far}"));
+    files.done(&[&["solve", "scene.toml", "-o", "s.npz", "--report", "r.json"], &QUICK[..]].concat());
+    let report: serde_json::Value = serde_json::from_slice(&fs::read(files.path("r.json")).unwrap()).unwrap();
+    let elements = report["elements"].as_u64().unwrap();
+    assert_eq!(elements, 2 * 6 * 4 + 1, "both boxes, and the black lamp for its power");
+    let run = files.done(&["info", "scene.toml", "--element-size", "0.5", "--seed", "3"]);
+    let text = String::from_utf8(run.stdout).unwrap();
+    assert!(text.contains(&format!("elements      {elements} of at most 0.5 m\n")), "{text}");
+    files.fails(&["info", "scene.toml", "--rays", "7"], 2, &["--rays"]);
 }
 
 #[test]

@@ -283,6 +283,13 @@ fn requests_that_make_no_sense_are_refused_before_the_work() {
     room.refuses(&["--method", "hemicube", "--rays", "64", "-o", "a.npz"], &["--rays", "--resolution"]);
     room.refuses(&["--method", "hemicube", "--resolution", "0", "-o", "a.npz"], &["--resolution"]);
     room.refuses(&["--method", "hemicube", "--hemicube-errors", "-o", "a.npz"], &["--report"]);
+    room.refuses(&["--method", "analytic", "--rays", "9", "-o", "a.npz"], &["analytic", "--rays"]);
+    room.refuses(&["--floor", "0.1", "-o", "a.npz"], &["--floor", "add --error"]);
+    room.refuses(&["--floor", "0.1", "-o", "a.npz", "--method", "analytic"], &["--floor", "add --error"]);
+    for option in [["--rays", "9"], ["--error", "0.1"], ["--method", "analytic"], ["--method", "hemicube"]] {
+        room.refuses(&[&["--view", "0"], &option[..], &png[..]].concat(), &["--view", option[0]]);
+    }
+    room.refuses(&[&["--view", "0", "--resolution", "64"], &png[..]].concat(), &["--resolution"]);
     room.refuses(&["-o", "a.xyz"], &["a.xyz", ".npz", ".png"]);
     room.refuses(&["-o", "a.npz", "-o", "./a.npz"], &["given twice"]);
     room.refuses(&["--view", "nowhere", "-o", "a.png"], &["nowhere", "x0, x1"]);

@@ -20,7 +20,7 @@ const CAMERA: &str = "[camera]\nfov = 60\nsize = [12, 8]\n\
     [[camera.keyframe]]\nframe = 8\norigin = [0.7, 0.5, 0.9]\ntarget = [0.2, 0.4, 0]\n";
 const LAMP: &str = "[materials.lamp]\nemission = [3, 2, 1]\n";
 const QUICK: [&str; 4] = ["--rays", "64", "--element-size", "0.25"];
-const PASS2: [&str; 6] = ["--spp", "2", "--gather-rays", "8", "--quiet", "--seed=3"];
+const PASS2: [&str; 4] = ["--spp", "2", "--quiet", "--seed=3"];
 
 struct Files(tempfile::TempDir);
 
@@ -161,6 +161,12 @@ fn frames_do_not_depend_on_the_range() {
         report["frames"].as_array().unwrap().iter().map(|f| f["frame"].as_u64().unwrap()).collect();
     assert_eq!(frames, (1..=8).collect::<Vec<_>>());
     assert!(report["frames"][0]["trace_seconds"].as_f64().unwrap() > 0.0);
+    let stages = report["stages"].as_array().unwrap();
+    let names: Vec<_> = stages.iter().map(|s| s["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["load", "build", "form-factors", "solve", "trace", "write"]);
+    let written: f64 =
+        report["frames"].as_array().unwrap().iter().map(|f| f["write_seconds"].as_f64().unwrap()).sum();
+    assert!(written > 0.0 && (stages[5]["seconds"].as_f64().unwrap() / written - 1.0).abs() < 1e-9);
 
     // A still shows the first keyframe where the camera itself says nothing.
     files.done(&[&render, &PASS2, &QUICK, &["-o", "still.exr"]]);

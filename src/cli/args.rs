@@ -1,6 +1,5 @@
 //! Arguments as typed.
 
-use crate::render::GATHER_RAYS;
 use crate::scene::within_size;
 use clap::{Args as ClapArgs, Parser, Subcommand, ValueEnum};
 use std::ops::{Range, RangeInclusive};
@@ -48,7 +47,13 @@ pub struct Pass1Args {
     /// Rays an element for form factors [default: 1024, or the scene file's].
     #[arg(long, value_name = "N", value_parser = count, allow_negative_numbers = true)]
     pub rays: Option<u32>,
-    /// Largest edge of an element, in scene units [default: from the scene's extent].
+    #[command(flatten)]
+    pub elements: ElementArgs,
+}
+
+#[derive(Debug, ClapArgs)]
+pub struct ElementArgs {
+    /// Largest edge of an element, in scene units [default: the scene file's, or from the scene's extent].
     #[arg(long, value_name = "L", value_parser = length, allow_negative_numbers = true)]
     pub element_size: Option<f64>,
 }
@@ -117,27 +122,27 @@ pub struct RenderArgs {
     #[arg(long, value_name = "N", value_parser = count, allow_negative_numbers = true)]
     pub spp: Option<u32>,
     /// Hemisphere rays a sample at quality gather, on average: bright light from few directions gets up to eight times as many, what is
-    /// dark or even half.
-    #[arg(long, value_name = "N", default_value_t = GATHER_RAYS, value_parser = count)]
-    pub gather_rays: u32,
-    /// Emitter samples a sample.
-    #[arg(long, value_name = "N", default_value_t = 4, value_parser = count)]
-    pub emitter_samples: u32,
-    /// Estimator of glossy lobes.
-    #[arg(long, value_enum, default_value_t = EstimatorArg::Lobe)]
-    pub lobe: EstimatorArg,
-    /// Cells along one side of the frustum's grid.
-    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=256))]
-    pub frustum_grid: u32,
-    /// Rays over the lobe at the first glossy surface, a sample.
-    #[arg(long, value_name = "N", default_value_t = 4, value_parser = count)]
-    pub lobe_rays: u32,
-    /// Directions a hemisphere, about (method directional).
-    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
-    pub directions: u32,
-    /// Exposure of PNG and JPEG [EV].
-    #[arg(long, value_name = "EV", default_value_t = 0.0, allow_negative_numbers = true)]
-    pub exposure: f64,
+    /// dark or even half [default: 16].
+    #[arg(long, value_name = "N", value_parser = count)]
+    pub gather_rays: Option<u32>,
+    /// Emitter samples a sample [default: 4].
+    #[arg(long, value_name = "N", value_parser = count)]
+    pub emitter_samples: Option<u32>,
+    /// Estimator of glossy lobes [default: lobe].
+    #[arg(long, value_enum)]
+    pub lobe: Option<EstimatorArg>,
+    /// Cells along one side of the grid of --lobe frustum [default: 10].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=256))]
+    pub frustum_grid: Option<u32>,
+    /// Rays over the lobe at the first glossy surface, a sample, for --lobe lobe [default: 4].
+    #[arg(long, value_name = "N", value_parser = count)]
+    pub lobe_rays: Option<u32>,
+    /// Directions a hemisphere, about, for --method directional [default: 256].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
+    pub directions: Option<u32>,
+    /// Exposure of PNG and JPEG [EV] [default: 0].
+    #[arg(long, value_name = "EV", allow_negative_numbers = true)]
+    pub exposure: Option<f64>,
     /// Write what the run did as JSON.
     #[arg(long, value_name = "FILE.json")]
     pub report: Option<PathBuf>,
@@ -188,9 +193,9 @@ pub struct FormFactorArgs {
     /// Add rays until the standard error of every factor above the floor is at most this share of it.
     #[arg(long, value_name = "E", value_parser = share, allow_negative_numbers = true)]
     pub error: Option<f64>,
-    /// Smallest factor that --error is for.
-    #[arg(long, value_name = "F", default_value_t = 1e-3, value_parser = share, allow_negative_numbers = true)]
-    pub floor: f64,
+    /// Smallest factor that --error is for [default: 0.001].
+    #[arg(long, value_name = "F", value_parser = share, allow_negative_numbers = true)]
+    pub floor: Option<f64>,
     /// One row and column for each object (`o`/`g` name) instead of each element.
     #[arg(long)]
     pub by_object: bool,
@@ -299,7 +304,7 @@ pub struct InfoArgs {
     /// Scene file (TOML) or OBJ file.
     pub scene: PathBuf,
     #[command(flatten)]
-    pub pass1: Pass1Args,
+    pub elements: ElementArgs,
     #[command(flatten)]
     pub common: Common,
 }

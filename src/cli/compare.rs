@@ -27,9 +27,7 @@ pub fn run(args: &CompareArgs) -> Result<()> {
         }
         let inputs =
             [Some(&args.image), Some(&args.reference), args.reference_b.as_ref(), args.mask.as_ref()];
-        for input in inputs.into_iter().flatten() {
-            check_outputs(input, [diff])?;
-        }
+        check_outputs(inputs.into_iter().flatten(), [diff])?;
     }
     let x = read_any(&args.image)?;
     let a = read_any(&args.reference)?;

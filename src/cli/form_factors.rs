@@ -1,9 +1,9 @@
 //! `twopass form-factors`.
 
 use super::args::{EnforceArg, FactorMethodArg, FormFactorArgs, MirrorArg, ViewArg};
-use super::check_outputs;
 use super::progress::Progress;
 use super::render::pass1;
+use super::{check_outputs, options, spare_inputs};
 use crate::embree::Device;
 use crate::form_factor::export::{self, View};
 use crate::form_factor::{
@@ -28,14 +28,14 @@ const BATCHES: u32 = 16;
 const RESOLUTION: u32 = 256;
 /// An enclosure that loses less than this share is closed on purpose.
 const CLOSED: f64 = 1e-4;
-/// Most pixels along the top of a hemi-cube that is looked at.
-const MOST_VIEW_PIXELS: u32 = 1024;
+/// Smallest factor that an error is asked for where nobody says otherwise.
+const FLOOR: f64 = 1e-3;
 /// View3D's format writes every pair: beyond this many elements it would fill the disk unasked.
 const MOST_DENSE: usize = 20_000;
 
 /// What is written to an output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Format {
+pub enum Format {
     Npz,
     Csv,
     Json,
@@ -45,13 +45,14 @@ enum Format {
 
 pub fn run(args: &FormFactorArgs) -> Result<()> {
     let outputs = outputs(args)?;
-    check_options(args, &outputs)?;
-    let files = outputs.iter().map(|o| &o.0).filter(|path| !is_stdout(path));
-    check_outputs(&args.scene, files.chain(&args.report))?;
+    options::of_form_factors(args, &outputs)?;
+    let files = outputs.iter().map(|o| &o.0).filter(|path| !is_stdout(path)).chain(&args.report);
+    check_outputs([&args.scene], files.clone())?;
     let progress = Progress::new(args.common.quiet);
     let observer = &|e| progress.tell(e);
     let mut stages: Vec<Stage> = Vec::new();
     let scene = pipeline::stage("load", 0, observer, &mut stages, || (load(&args.scene), 0))?;
+    spare_inputs(&scene.files, files)?;
     scene.warnings.iter().for_each(|w| progress.warn(w));
     let settings = pass1(&args.pass1, &scene, args.common.seed);
     // Exact factors between objects do not depend on elements: whole faces are few.
@@ -103,7 +104,7 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
         };
         let kept = (args.by_object, range.unwrap_or(0..all));
         let mut factors = Factors::of_found(&scene, &mesh, &found, kept, seconds);
-        found.lines(args.floor).iter().for_each(|l| progress.line(l));
+        found.lines(args.floor.unwrap_or(FLOOR)).iter().for_each(|l| progress.line(l));
         let said = found.warnings(&scene, args.error);
         said.iter().for_each(|w| progress.warn(w));
         warnings.extend(said);
@@ -197,7 +198,7 @@ impl Run<'_> {
                         let request = Request {
                             rays: settings.rays,
                             error: self.args.error,
-                            floor: self.args.floor,
+                            floor: self.args.floor.unwrap_or(FLOOR),
                             by_object: self.args.by_object,
                             seed: settings.seed,
                             progress: &advance,
@@ -262,7 +263,7 @@ fn enforced(arg: EnforceArg) -> Option<Enforce> {
     }
 }
 
-fn is_stdout(path: &Path) -> bool {
+pub fn is_stdout(path: &Path) -> bool {
     path.as_os_str() == "-"
 }
 
@@ -297,72 +298,6 @@ fn outputs(args: &FormFactorArgs) -> Result<Vec<(PathBuf, Format)>> {
         Ok((path.clone(), format))
     };
     args.output.iter().map(format).collect()
-}
-
-/// Refuses options that do not go together, before any work.
-fn check_options(args: &FormFactorArgs, outputs: &[(PathBuf, Format)]) -> Result<()> {
-    let refuse = |message: &str| Err(Error::Usage(message.into()));
-    let h = &args.hemicube;
-    let view_cube = args.view.is_some() && args.view_as == ViewArg::Hemicube;
-    if args.method != FactorMethodArg::Hemicube {
-        let given = [
-            ("--resolution", h.resolution.is_some() && !view_cube),
-            ("--hemicube-grid", h.hemicube_grid.is_some()),
-            ("--rotate", h.rotate.is_some()),
-            ("--hemicube-errors", h.hemicube_errors),
-        ];
-        if let Some((option, _)) = given.iter().find(|g| g.1) {
-            return Err(Error::Usage(format!("{option} belongs to --method hemicube")));
-        }
-    } else if args.pass1.rays.is_some() {
-        return refuse(
-            "--method hemicube casts no rays: use --resolution and --hemicube-grid instead of --rays",
-        );
-    }
-    if args.method == FactorMethodArg::Analytic && (args.two_sided || args.rows.is_some()) {
-        return refuse("--method analytic finds all rows of the fronts: leave out --rows and --two-sided");
-    }
-    let plain = args.method == FactorMethodArg::Ray && args.mirror == MirrorArg::None;
-    if args.error.is_some() && (!plain || args.two_sided || args.rows.is_some()) {
-        return refuse("--error belongs to --method ray without --mirror, --two-sided and --rows");
-    }
-    if args.method != FactorMethodArg::Ray && args.mirror != MirrorArg::None {
-        return refuse("--mirror belongs to --method ray");
-    }
-    if args.mirror == MirrorArg::Image && args.rows.is_some() {
-        return refuse("--mirror image finds all rows: leave out --rows, or use --mirror chain");
-    }
-    if h.hemicube_errors && args.report.is_none() {
-        return refuse("--hemicube-errors are written to a report: add --report FILE.json");
-    }
-    if args.rows.is_some() && args.enforce != EnforceArg::None {
-        return refuse("--enforce moves all rows together: leave out --rows");
-    }
-    if args.rows.is_some() && outputs.iter().any(|o| o.1 == Format::View3d) {
-        return refuse("View3D's format holds all rows: leave out --rows, or write .npz, .csv or .json");
-    }
-    if args.view.is_some() {
-        if h.resolution.is_some_and(|n| n > MOST_VIEW_PIXELS) {
-            return Err(Error::Usage(format!(
-                "--view unfolds a hemi-cube of {MOST_VIEW_PIXELS} pixels at most: lower --resolution"
-            )));
-        }
-        if args.by_object || args.rows.is_some() || args.enforce != EnforceArg::None {
-            return refuse(
-                "--view draws one element's view and no matrix: leave out --by-object, --rows and --enforce",
-            );
-        }
-        if let Some((path, _)) = outputs.iter().find(|o| o.1 != Format::Picture) {
-            return Err(Error::Usage(format!(
-                "{}: --view draws a picture; write .png, .exr, .tif or .jpg",
-                path.display()
-            )));
-        }
-    }
-    if outputs.iter().filter(|o| is_stdout(&o.0)).count() > 1 {
-        return refuse("-o -: standard output is given twice");
-    }
-    Ok(())
 }
 
 /// Elements whose rows are computed; none: all.

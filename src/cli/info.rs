@@ -1,13 +1,14 @@
 //! `twopass info`.
 
 use super::args::InfoArgs;
-use super::render::pass1;
-use super::{print, say};
+use super::render::element_size;
+use super::{length, print, say};
 use crate::Result;
 use crate::embree::Device;
 use crate::mesh::{Mesh, default_element_size};
+use crate::pipeline;
 use crate::scene::{Features, Scene, load};
-use crate::visibility::{Visibility, reachable_sides};
+use crate::visibility::Visibility;
 
 pub fn run(args: &InfoArgs) -> Result<()> {
     let scene = load(&args.scene)?;
@@ -16,15 +17,13 @@ pub fn run(args: &InfoArgs) -> Result<()> {
     }
     let device = Device::new(rayon::current_num_threads())?;
     let visibility = Visibility::new(&device, &scene)?;
-    let settings = pass1(&args.pass1, &scene, args.common.seed);
-    let frames: Vec<_> = scene.cameras.iter().map(|c| (c.frame(&scene), c.size)).collect();
-    let reached = reachable_sides(&visibility, &frames, settings.seed);
-    let size = settings.element_size.unwrap_or_else(|| default_element_size(&scene));
+    let reached = pipeline::reached(&visibility, &scene.view_points(), args.common.seed, &|_| {});
+    let size = element_size(&args.elements, &scene).unwrap_or_else(|| default_element_size(&scene));
     let mesh = Mesh::new(&scene, &reached, size, false)?;
     let mut lines = describe_scene(&scene);
     let sides = 2 * scene.faces.len();
     lines.push(format!("  sides         {} of {sides} can be reached by light or a camera", reached.count()));
-    lines.push(format!("  elements      {} of at most {size:.6} m", mesh.len()));
+    lines.push(format!("  elements      {} of at most {} m", mesh.len(), length(size)));
     lines.push("  materials".into());
     lines.extend(scene.materials.iter().map(|m| format!("    {:12} {}", m.name, describe(m))));
     let features = Features::of(&scene).list();
@@ -43,7 +42,7 @@ fn describe_scene(scene: &Scene) -> Vec<String> {
         format!("  polygons      {}", scene.polygon_count),
         format!("  faces         {} ({} triangles, {quads} quads)", scene.faces.len(), scene.triangle_count),
         format!("  objects       {}", scene.objects.join(", ")),
-        format!("  centre        {} m, radius {:.6} m", scene.center, scene.radius),
+        format!("  centre        {} m, radius {} m", scene.center, length(scene.radius)),
     ];
     for camera in &scene.cameras {
         lines.push(format!("  camera        {} ({} x {})", camera.name, camera.size[0], camera.size[1]));

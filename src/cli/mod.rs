@@ -6,6 +6,7 @@ mod compare;
 mod form_factors;
 mod frames;
 mod info;
+mod options;
 mod progress;
 mod render;
 mod solve;
@@ -16,7 +17,7 @@ use clap::Parser;
 use std::collections::HashSet;
 use std::fmt::Display;
 use std::io::{self, ErrorKind, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 /// Runs the program with the process's arguments.
@@ -79,23 +80,55 @@ fn print(text: &str) -> Result<()> {
     }
 }
 
-/// Refuses outputs that cannot be written, or that would replace the scene or each other, before
-/// any work is done.
-fn check_outputs<'a>(scene: &Path, outputs: impl IntoIterator<Item = &'a PathBuf>) -> Result<()> {
-    let mut taken = HashSet::from([place(scene)]);
-    for path in outputs {
+/// Refuses outputs that cannot be written, or that would replace each other or what is read, before any work is done.
+fn check_outputs<'a>(
+    inputs: impl IntoIterator<Item = &'a PathBuf>,
+    outputs: impl IntoIterator<Item = &'a PathBuf> + Clone,
+) -> Result<()> {
+    let mut taken = HashSet::new();
+    for path in outputs.clone() {
         output::check(path)?;
-        if !taken.insert(place(path)) {
-            let message = "is the scene, or an output given twice; choose another name";
+        if !taken.insert(output::place(path)) {
+            let message = "is an output given twice; choose another name";
             return Err(Error::Usage(format!("{}: {message}", path.display())));
         }
     }
-    Ok(())
+    spare_inputs(inputs, outputs)
 }
 
-/// The one name of a file that may not exist yet.
-fn place(path: &Path) -> PathBuf {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let name = path.file_name().unwrap_or_default();
-    folder.canonicalize().unwrap_or_else(|_| folder.into()).join(name)
+/// Refuses outputs that would replace what is read.
+fn spare_inputs<'a>(
+    inputs: impl IntoIterator<Item = &'a PathBuf>,
+    outputs: impl IntoIterator<Item = &'a PathBuf>,
+) -> Result<()> {
+    let inputs: HashSet<PathBuf> = inputs.into_iter().map(|path| output::place(path)).collect();
+    match outputs.into_iter().find(|path| inputs.contains(&output::place(path))) {
+        Some(path) => {
+            let message = "is read in this run and would be replaced; choose another name";
+            Err(Error::Usage(format!("{}: {message}", path.display())))
+        }
+        None => Ok(()),
+    }
+}
+
+/// A length as text, to four digits that count.
+fn length(metres: f64) -> String {
+    let rounded: f64 = format!("{metres:.3e}").parse().unwrap_or(metres);
+    if rounded == 0.0 || (1e-4..1e9).contains(&rounded.abs()) {
+        rounded.to_string()
+    } else {
+        format!("{rounded:e}")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_have_digits_that_count() {
+        let lengths = [0.0, 0.000_25, 0.000_123_456, 1.5e-7, 0.1 + 0.2, 2.0, 1234.56, 123_456.7, 3e12];
+        let texts = lengths.map(length);
+        assert_eq!(texts, ["0", "0.00025", "0.0001235", "1.5e-7", "0.3", "2", "1235", "123500", "3e12"]);
+    }
 }

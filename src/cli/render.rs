@@ -1,9 +1,10 @@
 //! `twopass render`.
 
-use super::args::{AdaptiveArgs, EstimatorArg, MethodArg, Pass1Args, QualityArg, RenderArgs};
-use super::check_outputs;
+use super::args::{AdaptiveArgs, ElementArgs, EstimatorArg, MethodArg, Pass1Args, QualityArg, RenderArgs};
 use super::frames::{Pattern, check_range, refuse_pattern};
 use super::progress::Progress;
+use super::{check_outputs, length, options, spare_inputs};
+use crate::Result;
 use crate::accuracy::{Achieved, View, render_to_error};
 use crate::adaptive::{self, Adapted};
 use crate::embree::Device;
@@ -12,24 +13,36 @@ use crate::image::{self, Image, WriteOptions};
 use crate::memory::Factors;
 use crate::pipeline::{self, Pass1, Pass1Result, Stage};
 use crate::radiosity::{Directional, Kept, Reads, Solution};
-use crate::render::{Estimator, Method, Quality, Renderer, Settings, cut_off, render_directional};
+use crate::render::{
+    Estimator, GATHER_RAYS, Method, Quality, Renderer, Settings, cut_off, render_directional,
+};
 use crate::report::{KeptReport, Pass1Report, Report, Versions, command_line};
 use crate::scene::{Camera, Scene, load};
 use crate::sequence::{FrameTime, render_frames};
 use crate::visibility::Visibility;
-use crate::{Error, Result};
 use std::path::PathBuf;
 use std::sync::LazyLock;
 
+/// Emitter samples a sample where nobody says otherwise.
+const EMITTER_SAMPLES: u32 = 4;
+/// Cells along the frustum's grid where nobody says otherwise.
+const FRUSTUM_GRID: u32 = 10;
+/// Rays over a glossy lobe where nobody says otherwise.
+const LOBE_RAYS: u32 = 4;
+/// Directions a hemisphere of directional radiosity where nobody says otherwise.
+const DIRECTIONS: u32 = 256;
+
 pub fn run(args: &RenderArgs) -> Result<()> {
     let patterns = outputs(args)?;
-    check_options(args)?;
+    options::of_render(args)?;
     let progress = Progress::new(args.common.quiet);
     let observer = &|e| progress.tell(e);
     let mut stages: Vec<Stage> = Vec::new();
     let scene = pipeline::stage("load", 0, observer, &mut stages, || (load(&args.scene), 0))?;
     scene.warnings.iter().for_each(|w| progress.warn(w));
     let cameras = cameras(args, &scene)?;
+    options::of_quality(args, quality(args.quality, &scene))?;
+    spare_inputs(scene.files.iter().chain(&args.solution), &files(args, &patterns, &cameras))?;
     let kept = args.solution.as_ref().map(|path| {
         pipeline::stage("solution", 0, observer, &mut stages, || (Solution::read_npz(&scene, path), 0))
     });
@@ -136,7 +149,7 @@ impl<'s> Ready<'_, 's> {
             first.pass1 = Some((found.pass1, found.settings));
             first.rendered = Some((found.image, found.dropped, found.achieved));
         } else if args.method == MethodArg::Directional {
-            let what = (&pass1_settings, args.directions);
+            let what = (&pass1_settings, args.directions.unwrap_or(DIRECTIONS));
             let solution =
                 pipeline::solve_directional(visibility, emitters, &view_points, what, observer, stages)?;
             progress.line(&format!(
@@ -191,7 +204,8 @@ impl<'s> Ready<'_, 's> {
         };
 
         image::ready()?;
-        let options = WriteOptions { exposure: args.exposure, metadata: metadata(args, versions, settings) };
+        let exposure = args.exposure.unwrap_or(0.0);
+        let options = WriteOptions { exposure, metadata: metadata(args, versions, settings) };
         let pixels: u64 = cameras.iter().map(|(_, c)| u64::from(c.size[0]) * u64::from(c.size[1])).sum();
         let mut pictures = Pictures::default();
         if args.frames.is_some() {
@@ -210,6 +224,9 @@ impl<'s> Ready<'_, 's> {
             })?;
             pictures.dropped = pictures.frames.iter().map(|f| f.dropped).reduce(f64::max);
             tell_frames(progress, &pictures.frames, stages.last());
+            // Mostly beside `trace`, on a thread of its own.
+            let seconds = pictures.frames.iter().map(|f| f.write_seconds).sum();
+            stages.push(Stage { name: "write", seconds, rays: 0 });
             return Ok(pictures);
         }
         let traced;
@@ -244,9 +261,9 @@ impl<'s> Ready<'_, 's> {
             pass1.adaptive = first.adapted;
             tell_adapted(progress, &pass1);
             progress.line(&format!(
-                "{} elements of at most {:.4} m, standard error {:.2} %, energy residual {:.2} %",
+                "{} elements of at most {} m, standard error {:.2} %, energy residual {:.2} %",
                 pass1.elements,
-                pass1.element_size,
+                length(pass1.element_size),
                 100.0 * pass1.standard_errors.relative_rms,
                 100.0 * pass1.energy.residual.abs().max_element()
             ));
@@ -256,49 +273,36 @@ impl<'s> Ready<'_, 's> {
             let file = path.display().to_string();
             let mesh = &kept.solution.mesh;
             progress.line(&format!(
-                "{} elements of at most {:.4} m, solved before",
+                "{} elements of at most {} m, solved before",
                 mesh.len(),
-                mesh.element_size
+                length(mesh.element_size)
             ));
             report.solution = Some(KeptReport { file, about: kept.about.clone() });
         }
     }
 }
 
-/// Refuses options that do not go together, before any work.
-fn check_options(args: &RenderArgs) -> Result<()> {
-    if !args.exposure.is_finite() {
-        return Err(Error::Usage("--exposure must be a finite number".into()));
-    }
-    if args.solution.is_some() && !matches!(args.method, MethodArg::TwoPass | MethodArg::Radiosity) {
-        return Err(Error::Usage(
-            "--solution is for --method two-pass and radiosity: others have no pass 1".into(),
-        ));
-    }
-    if args.error.is_some() && args.method != MethodArg::TwoPass {
-        return Err(Error::Usage("--error is for --method two-pass".into()));
-    }
-    if args.adaptive.adaptive == Some(true)
-        && !matches!(args.method, MethodArg::TwoPass | MethodArg::Radiosity)
-    {
-        return Err(Error::Usage("--adaptive is for --method two-pass and radiosity".into()));
-    }
-    Ok(())
-}
-
 /// Checks what is to be written; the names of the frames, where a path is rendered.
 fn outputs(args: &RenderArgs) -> Result<Vec<Pattern>> {
+    let inputs = [&args.scene].into_iter().chain(&args.solution);
     let Some(frames) = &args.frames else {
         args.output.iter().try_for_each(|o| refuse_pattern(o))?;
         args.output.iter().try_for_each(|o| image::supported(o))?;
-        check_outputs(&args.scene, args.output.iter().chain(&args.report))?;
+        check_outputs(inputs, args.output.iter().chain(&args.report))?;
         return Ok(Vec::new());
     };
     let patterns: Vec<Pattern> = args.output.iter().map(|o| Pattern::new(o)).collect::<Result<_>>()?;
     let first: Vec<PathBuf> = patterns.iter().map(|p| p.file(*frames.start())).collect();
     first.iter().try_for_each(|o| image::supported(o))?;
-    check_outputs(&args.scene, first.iter().chain(&args.report))?;
+    check_outputs(inputs, first.iter().chain(&args.report))?;
     Ok(patterns)
+}
+
+/// All files that will be written.
+fn files(args: &RenderArgs, patterns: &[Pattern], cameras: &[(u32, Camera)]) -> Vec<PathBuf> {
+    let pictures = patterns.iter().flat_map(|p| cameras.iter().map(|c| p.file(c.0)));
+    let named = if args.frames.is_some() { &[][..] } else { &args.output };
+    pictures.chain(named.iter().chain(&args.report).cloned()).collect()
 }
 
 /// The camera, or that of each frame, with their numbers.
@@ -333,14 +337,14 @@ fn tell_frames(progress: &Progress, frames: &[FrameTime], stage: Option<&Stage>)
 /// Says how wrong the picture is and what was chosen for it.
 fn tell_accuracy(progress: &Progress, a: &Achieved) {
     progress.line(&format!(
-        "error {:.2} % (noise {:.2} %, elements {:.2} %) for {:.2} % asked: quality {}, elements of at most {:.4} m, {} rays an \
+        "error {:.2} % (noise {:.2} %, elements {:.2} %) for {:.2} % asked: quality {}, elements of at most {} m, {} rays an \
          element, {} samples a pixel",
         100.0 * a.relative_rmse,
         100.0 * a.noise,
         100.0 * a.discretisation,
         100.0 * a.asked,
         a.quality,
-        a.element_size,
+        length(a.element_size),
         a.rays,
         a.spp
     ));
@@ -360,11 +364,11 @@ pub fn tell_factors(progress: &Progress, result: &Pass1Result) {
 pub fn tell_adapted(progress: &Progress, pass1: &Pass1Report) {
     let Some(adapted) = &pass1.adaptive else { return };
     progress.line(&format!(
-        "{} elements in {} {}, the finest of at most {:.4} m; uniform ones would be {}",
+        "{} elements in {} {}, the finest of at most {} m; uniform ones would be {}",
         pass1.elements,
         adapted.elements.len(),
         if adapted.elements.len() == 1 { "pass" } else { "passes" },
-        pass1.element_size,
+        length(pass1.element_size),
         adapted.uniform_elements
     ));
 }
@@ -404,10 +408,13 @@ pub fn pass1(args: &Pass1Args, scene: &Scene, seed: u32) -> Pass1 {
     if let Some(rays) = args.rays {
         settings.rays = rays;
     }
-    if let Some(size) = args.element_size {
-        settings.element_size = Some(size * scene.unit);
-    }
+    settings.element_size = element_size(&args.elements, scene);
     settings
+}
+
+/// Largest edge of an element \[m\]: the command line over the scene file.
+pub fn element_size(args: &ElementArgs, scene: &Scene) -> Option<f64> {
+    args.element_size.map(|size| size * scene.unit).or(scene.radiosity.element_size)
 }
 
 /// The quality asked for: the command line over the scene file over the default.
@@ -431,11 +438,11 @@ fn settings(args: &RenderArgs, scene: &Scene) -> Settings {
     Settings {
         method,
         spp: args.spp.or(scene.render.spp).unwrap_or(method.default_spp()),
-        gather_rays: args.gather_rays,
-        emitter_samples: args.emitter_samples,
+        gather_rays: args.gather_rays.unwrap_or(GATHER_RAYS),
+        emitter_samples: args.emitter_samples.unwrap_or(EMITTER_SAMPLES),
         estimator: match args.lobe {
-            EstimatorArg::Frustum => Estimator::Frustum(args.frustum_grid),
-            EstimatorArg::Lobe => Estimator::Lobe(args.lobe_rays),
+            Some(EstimatorArg::Frustum) => Estimator::Frustum(args.frustum_grid.unwrap_or(FRUSTUM_GRID)),
+            _ => Estimator::Lobe(args.lobe_rays.unwrap_or(LOBE_RAYS)),
         },
         seed: args.common.seed,
     }

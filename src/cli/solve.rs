@@ -1,9 +1,9 @@
 //! `twopass solve`.
 
 use super::args::SolveArgs;
-use super::check_outputs;
 use super::progress::Progress;
 use super::render::{pass1, pass1_of, quality, reads, tell_adapted, tell_factors};
+use super::{check_outputs, spare_inputs};
 use crate::embree::Device;
 use crate::emitters::Emitters;
 use crate::output::write_whole;
@@ -18,11 +18,13 @@ pub fn run(args: &SolveArgs) -> Result<()> {
     if args.output.extension().is_none_or(|e| e != "npz") {
         return Err(Error::Usage(format!("{}: a solution is written as .npz", args.output.display())));
     }
-    check_outputs(&args.scene, [&args.output].into_iter().chain(&args.report))?;
+    let outputs = [&args.output].into_iter().chain(&args.report);
+    check_outputs([&args.scene], outputs.clone())?;
     let progress = Progress::new(args.common.quiet);
     let observer = &|e| progress.tell(e);
     let mut stages: Vec<Stage> = Vec::new();
     let scene = pipeline::stage("load", 0, observer, &mut stages, || (load(&args.scene), 0))?;
+    spare_inputs(&scene.files, outputs)?;
     scene.warnings.iter().for_each(|w| progress.warn(w));
     let settings = pass1(&args.pass1, &scene, args.common.seed);
     let quality = quality(args.quality, &scene);

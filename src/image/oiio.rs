@@ -154,6 +154,11 @@ pub fn supported(path: &Path) -> Result<()> {
     output::check(path)
 }
 
+/// Whether [`WriteOptions::exposure`] changes what is written at `path`: an 8-bit format.
+pub fn has_exposure(path: &Path) -> bool {
+    format_of(path).is_ok_and(|format| format.eight_bit)
+}
+
 /// Writes an image in the format of `path`'s extension.
 ///
 /// `exr`, `tif`, `tiff` and `hdr` hold linear radiance, `png`, `jpg` and `jpeg` 8-bit sRGB after

@@ -10,7 +10,7 @@ use super::{RadiosityDefaults, RenderDefaults, Scene, mtl};
 use crate::color::Rgb;
 use crate::error::{Error, Result};
 use crate::sampling::MOST_SAMPLES;
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 /// Name of the material of faces without `usemtl`.
@@ -236,9 +236,12 @@ fn assemble(mut plan: Plan, mut files: Vec<ObjFile>, overrides: Vec<Override>) -
     for file in &mut files {
         plan.warnings.append(&mut file.warnings);
     }
+    let mut read = vec![plan.path.clone()];
+    read.extend(files.iter().map(|f| f.path.clone()));
     let mut numbering: Vec<_> = files.iter().map(|_| Numbering::default()).collect();
     let mut objects = number_objects(&files, &mut numbering);
-    let mut materials = number_materials(&files, &overrides, &mut numbering, &mut plan.warnings)?;
+    let told = (&mut read, &mut plan.warnings);
+    let mut materials = number_materials(&files, &overrides, &mut numbering, told)?;
     let mut geometry = faces::build(&files, &numbering, plan.unit, &mut materials)?;
 
     // A name without faces is no object.
@@ -260,6 +263,7 @@ fn assemble(mut plan: Plan, mut files: Vec<ObjFile>, overrides: Vec<Override>) -
     plan.warnings.retain(|w| said.insert(w.clone()));
     Ok(Scene {
         path: plan.path,
+        files: read,
         objects,
         materials,
         vertices: geometry.vertices,
@@ -305,16 +309,17 @@ fn number_objects(files: &[ObjFile], numbering: &mut [Numbering]) -> Vec<String>
     names
 }
 
-/// The materials that faces use, with overrides applied and energy conserved.
+/// The materials that faces use, with overrides applied and energy conserved; adds the libraries to the files that were `read`.
 fn number_materials(
     files: &[ObjFile],
     overrides: &[Override],
     numbering: &mut [Numbering],
-    warnings: &mut Vec<String>,
+    (read, warnings): (&mut Vec<PathBuf>, &mut Vec<String>),
 ) -> Result<Vec<Material>> {
     let mut materials: Vec<Material> = Vec::new();
     for (file, numbers) in files.iter().zip(numbering) {
-        let library = read_libraries(file, warnings)?;
+        let (library, paths) = read_libraries(file, warnings)?;
+        read.extend(paths);
         let mut resolve = |name: &str, warning: String| {
             let over = overrides.iter().find(|o| o.name == name);
             // The last definition counts.
@@ -384,12 +389,12 @@ fn number_material(
     (materials.len() - 1) as u32
 }
 
-/// The materials of a file's MTL libraries.
-fn read_libraries(file: &ObjFile, warnings: &mut Vec<String>) -> Result<Vec<Material>> {
+/// The materials of a file's MTL libraries, and the libraries.
+fn read_libraries(file: &ObjFile, warnings: &mut Vec<String>) -> Result<(Vec<Material>, BTreeSet<PathBuf>)> {
     let directory = file.path.parent().unwrap_or(Path::new(""));
     let mut materials = Vec::new();
     // Some exporters name the library again with each object.
-    let mut read: HashSet<PathBuf> = HashSet::new();
+    let mut read: BTreeSet<PathBuf> = BTreeSet::new();
     for (line, names) in &file.libraries {
         // One name with spaces, or several names.
         let names = if directory.join(names).is_file() {
@@ -412,5 +417,5 @@ fn read_libraries(file: &ObjFile, warnings: &mut Vec<String>) -> Result<Vec<Mate
             warnings.append(&mut said);
         }
     }
-    Ok(materials)
+    Ok((materials, read))
 }

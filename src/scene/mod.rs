@@ -34,6 +34,8 @@ use std::path::PathBuf;
 pub struct Scene {
     /// The scene file (or the OBJ file, where one was given directly).
     pub path: PathBuf,
+    /// Every file that was asked for to read the scene: `path`, geometry, libraries of materials.
+    pub files: Vec<PathBuf>,
     /// Object names in the order of the files' `o`/`g` statements; names without faces are
     /// left out.
     pub objects: Vec<String>,

@@ -1,0 +1,229 @@
+//! Which options go together: what would have no effect is refused, before any work.
+
+use super::args::{
+    EnforceArg, EstimatorArg, FactorMethodArg, FormFactorArgs, MethodArg, MirrorArg, RenderArgs, ViewArg,
+};
+use super::form_factors::{Format, is_stdout};
+use crate::render::Quality;
+use crate::{Error, Result, image};
+use clap::ValueEnum;
+use std::path::PathBuf;
+
+/// Most pixels along the top of a hemi-cube that is looked at.
+const MOST_VIEW_PIXELS: u32 = 1024;
+
+/// Refuses what `render` cannot do together.
+pub fn of_render(args: &RenderArgs) -> Result<()> {
+    let refuse = |message: &str| Err(Error::Usage(message.into()));
+    if args.exposure.is_some_and(|e| !e.is_finite()) {
+        return refuse("--exposure must be a finite number");
+    }
+    if args.exposure.is_some() && !args.output.iter().any(|o| image::has_exposure(o)) {
+        return refuse(
+            "--exposure has no effect on images that hold radiance, only on .png and .jpg: leave it out, or write one of them too",
+        );
+    }
+    if args.solution.is_some() && !matches!(args.method, MethodArg::TwoPass | MethodArg::Radiosity) {
+        return refuse("--solution is for --method two-pass and radiosity: others have no pass 1");
+    }
+    if args.error.is_some() && args.method != MethodArg::TwoPass {
+        return refuse("--error is for --method two-pass");
+    }
+    if args.adaptive.adaptive == Some(true)
+        && !matches!(args.method, MethodArg::TwoPass | MethodArg::Radiosity)
+    {
+        return refuse("--adaptive is for --method two-pass and radiosity");
+    }
+    of_method(args)?;
+    if args.lobe == Some(EstimatorArg::Frustum) && args.lobe_rays.is_some() {
+        return refuse(
+            "--lobe-rays has no effect with --lobe frustum: use --frustum-grid, or leave out --lobe frustum",
+        );
+    }
+    if args.lobe != Some(EstimatorArg::Frustum) && args.frustum_grid.is_some() {
+        return refuse(
+            "--frustum-grid has no effect without --lobe frustum: add that, or leave out --frustum-grid",
+        );
+    }
+    Ok(())
+}
+
+/// Refuses options that the method does not read.
+fn of_method(args: &RenderArgs) -> Result<()> {
+    use MethodArg::{Directional, Radiosity, TwoPass, Whitted};
+    // What has elements, what solves for light within memory, and what samples emitters and lobes anew at each surface.
+    let (divide, solve, shade) =
+        (&[TwoPass, Radiosity, Directional][..], &[TwoPass, Radiosity][..], &[TwoPass, Whitted][..]);
+    let given = [
+        ("--rays", args.pass1.rays.is_some(), divide),
+        ("--element-size", args.pass1.elements.element_size.is_some(), divide),
+        ("--max-memory", args.memory.max_memory.is_some(), solve),
+        ("--quality", args.quality.is_some(), &[TwoPass]),
+        ("--gather-rays", args.gather_rays.is_some(), &[TwoPass]),
+        ("--emitter-samples", args.emitter_samples.is_some(), shade),
+        ("--lobe", args.lobe.is_some(), shade),
+        ("--lobe-rays", args.lobe_rays.is_some(), shade),
+        ("--frustum-grid", args.frustum_grid.is_some(), shade),
+        ("--directions", args.directions.is_some(), &[Directional]),
+    ];
+    let name = |m: &MethodArg| m.to_possible_value().map(|v| v.get_name().to_string()).unwrap_or_default();
+    match given.iter().find(|(_, given, methods)| *given && !methods.contains(&args.method)) {
+        Some((option, _, methods)) => {
+            let methods: Vec<String> = methods.iter().map(name).collect();
+            Err(Error::Usage(format!(
+                "{option} has no effect with --method {}: leave it out; it is for {}",
+                name(&args.method),
+                methods.join(", ")
+            )))
+        }
+        None => Ok(()),
+    }
+}
+
+/// Refuses what the quality, which the scene file may say, does not read.
+pub fn of_quality(args: &RenderArgs, quality: Quality) -> Result<()> {
+    if args.gather_rays.is_none() || quality == Quality::Gather {
+        return Ok(());
+    }
+    Err(Error::Usage(format!(
+        "--gather-rays has no effect at quality {}: leave it out, or choose --quality gather",
+        quality.name()
+    )))
+}
+
+/// Refuses what `form-factors` cannot do together.
+pub fn of_form_factors(args: &FormFactorArgs, outputs: &[(PathBuf, Format)]) -> Result<()> {
+    let refuse = |message: &str| Err(Error::Usage(message.into()));
+    let h = &args.hemicube;
+    let view_cube = args.view.is_some() && args.view_as == ViewArg::Hemicube;
+    if args.method != FactorMethodArg::Hemicube {
+        let given = [
+            ("--resolution", h.resolution.is_some() && !view_cube),
+            ("--hemicube-grid", h.hemicube_grid.is_some()),
+            ("--rotate", h.rotate.is_some()),
+            ("--hemicube-errors", h.hemicube_errors),
+        ];
+        if let Some((option, _)) = given.iter().find(|g| g.1) {
+            return Err(Error::Usage(format!("{option} belongs to --method hemicube")));
+        }
+    } else if args.pass1.rays.is_some() {
+        return refuse(
+            "--method hemicube casts no rays: use --resolution and --hemicube-grid instead of --rays",
+        );
+    }
+    if args.method == FactorMethodArg::Analytic && args.pass1.rays.is_some() {
+        return refuse("--method analytic finds exact factors, whatever --rays is: leave out --rays");
+    }
+    if args.method == FactorMethodArg::Analytic && (args.two_sided || args.rows.is_some()) {
+        return refuse("--method analytic finds all rows of the fronts: leave out --rows and --two-sided");
+    }
+    let plain = args.method == FactorMethodArg::Ray && args.mirror == MirrorArg::None;
+    if args.error.is_some() && (!plain || args.two_sided || args.rows.is_some()) {
+        return refuse("--error belongs to --method ray without --mirror, --two-sided and --rows");
+    }
+    if args.floor.is_some() && args.error.is_none() {
+        return refuse(
+            "--floor is the smallest factor that --error is for: add --error E, or leave out --floor",
+        );
+    }
+    if args.method != FactorMethodArg::Ray && args.mirror != MirrorArg::None {
+        return refuse("--mirror belongs to --method ray");
+    }
+    if args.mirror == MirrorArg::Image && args.rows.is_some() {
+        return refuse("--mirror image finds all rows: leave out --rows, or use --mirror chain");
+    }
+    if h.hemicube_errors && args.report.is_none() {
+        return refuse("--hemicube-errors are written to a report: add --report FILE.json");
+    }
+    if args.rows.is_some() && args.enforce != EnforceArg::None {
+        return refuse("--enforce moves all rows together: leave out --rows");
+    }
+    if args.rows.is_some() && outputs.iter().any(|o| o.1 == Format::View3d) {
+        return refuse("View3D's format holds all rows: leave out --rows, or write .npz, .csv or .json");
+    }
+    if args.view.is_some() {
+        if args.method != FactorMethodArg::Ray || args.pass1.rays.is_some() || args.error.is_some() {
+            return refuse(
+                "--view draws one element's view and finds no factors: leave out --method, --rays and --error",
+            );
+        }
+        if h.resolution.is_some_and(|n| n > MOST_VIEW_PIXELS) {
+            return Err(Error::Usage(format!(
+                "--view unfolds a hemi-cube of {MOST_VIEW_PIXELS} pixels at most: lower --resolution"
+            )));
+        }
+        if args.by_object || args.rows.is_some() || args.enforce != EnforceArg::None {
+            return refuse(
+                "--view draws one element's view and no matrix: leave out --by-object, --rows and --enforce",
+            );
+        }
+        if let Some((path, _)) = outputs.iter().find(|o| o.1 != Format::Picture) {
+            return Err(Error::Usage(format!(
+                "{}: --view draws a picture; write .png, .exr, .tif or .jpg",
+                path.display()
+            )));
+        }
+    }
+    if outputs.iter().filter(|o| is_stdout(&o.0)).count() > 1 {
+        return refuse("-o -: standard output is given twice");
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::args::{Args, Command};
+    use super::*;
+    use clap::Parser;
+
+    fn refused(options: &str) -> Option<String> {
+        let words = "twopass render s.toml -o a.exr".split(' ').chain(options.split_whitespace());
+        let Command::Render(args) = Args::try_parse_from(words).expect(options).command else {
+            unreachable!("render was asked for");
+        };
+        of_render(&args).and_then(|()| of_quality(&args, Quality::Mesh)).err().map(|e| {
+            assert_eq!(e.exit_code(), 2, "{options}");
+            e.to_string()
+        })
+    }
+
+    #[test]
+    fn options_without_effect_are_refused() {
+        let options = [
+            ("--rays 9", "two-pass radiosity directional"),
+            ("--element-size 9", "two-pass radiosity directional"),
+            ("--max-memory 1G", "two-pass radiosity"),
+            ("--quality mesh", "two-pass"),
+            ("--emitter-samples 9", "two-pass whitted"),
+            ("--lobe lobe", "two-pass whitted"),
+            ("--lobe-rays 9", "two-pass whitted"),
+            ("--lobe frustum --frustum-grid 9", "two-pass whitted"),
+            ("--directions 9", "directional"),
+            ("--spp 9", "two-pass radiosity whitted path directional"),
+        ];
+        for (option, methods) in options {
+            for method in ["two-pass", "radiosity", "whitted", "path", "directional"] {
+                let said = refused(&format!("{option} --method {method}"));
+                let reads = methods.split(' ').any(|m| m == method);
+                assert_eq!(said.is_none(), reads, "{option} --method {method}: {said:?}");
+                let name = option.split(' ').next().unwrap_or_default();
+                let whom = format!("{name} has no effect with --method {method}");
+                assert!(
+                    said.is_none_or(|s| s.contains(&whom) && s.contains(methods.split(' ').next().unwrap()))
+                );
+            }
+        }
+        for (options, parts) in [
+            ("--gather-rays 9", ["--gather-rays", "quality mesh"]),
+            ("--frustum-grid 9", ["--frustum-grid", "--lobe frustum"]),
+            ("--lobe lobe --frustum-grid 9", ["--frustum-grid", "--lobe frustum"]),
+            ("--lobe frustum --lobe-rays 9", ["--lobe-rays", "--lobe frustum"]),
+            ("--exposure 1", ["--exposure", ".png"]),
+            ("--exposure 1 -o b.tif -o c.hdr", ["--exposure", ".png"]),
+        ] {
+            let said = refused(options).expect(options);
+            assert!(parts.iter().all(|p| said.contains(p)), "{options}: {said}");
+        }
+        assert_eq!(refused("--exposure 1 -o b.JPG"), None);
+    }
+}
