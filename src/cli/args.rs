@@ -1,5 +1,6 @@
 //! Arguments as typed.
 
+use crate::sampling::MOST_SAMPLES;
 use crate::scene::within_size;
 use clap::{Args as ClapArgs, Parser, Subcommand, ValueEnum};
 use std::ops::{Range, RangeInclusive};
@@ -393,8 +394,8 @@ fn threads(s: &str) -> Result<usize, String> {
 
 fn count(s: &str) -> Result<u32, String> {
     match s.parse::<u32>() {
-        Ok(n) if n > 0 && n <= 1 << 30 => Ok(n),
-        _ => Err("must be a whole number from 1 to 1073741824".into()),
+        Ok(n) if n > 0 && n <= MOST_SAMPLES => Ok(n),
+        _ => Err(format!("must be a whole number from 1 to {MOST_SAMPLES}")),
     }
 }
 

@@ -53,7 +53,7 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
     let mut stages: Vec<Stage> = Vec::new();
     let scene = pipeline::stage("load", 0, observer, &mut stages, || (load(&args.scene), 0))?;
     spare_inputs(&scene.files, files)?;
-    scene.warnings.iter().for_each(|w| progress.warn(w));
+    options::idle_of_form_factors(args).iter().chain(&scene.warnings).for_each(|w| progress.warn(w));
     let settings = pass1(&args.pass1, &scene, args.common.seed);
     // Exact factors between objects do not depend on elements: whole faces are few.
     let whole = args.by_object && args.method == FactorMethodArg::Analytic;

@@ -1,4 +1,4 @@
-//! Which options go together: what would have no effect is refused, before any work.
+//! Which options go together: what cannot be done is refused before any work, and what has no effect is named.
 
 use super::args::{
     EnforceArg, EstimatorArg, FactorMethodArg, FormFactorArgs, MethodArg, MirrorArg, RenderArgs, ViewArg,
@@ -18,11 +18,6 @@ pub fn of_render(args: &RenderArgs) -> Result<()> {
     if args.exposure.is_some_and(|e| !e.is_finite()) {
         return refuse("--exposure must be a finite number");
     }
-    if args.exposure.is_some() && !args.output.iter().any(|o| image::has_exposure(o)) {
-        return refuse(
-            "--exposure has no effect on images that hold radiance, only on .png and .jpg: leave it out, or write one of them too",
-        );
-    }
     if args.solution.is_some() && !matches!(args.method, MethodArg::TwoPass | MethodArg::Radiosity) {
         return refuse("--solution is for --method two-pass and radiosity: others have no pass 1");
     }
@@ -34,22 +29,11 @@ pub fn of_render(args: &RenderArgs) -> Result<()> {
     {
         return refuse("--adaptive is for --method two-pass and radiosity");
     }
-    of_method(args)?;
-    if args.lobe == Some(EstimatorArg::Frustum) && args.lobe_rays.is_some() {
-        return refuse(
-            "--lobe-rays has no effect with --lobe frustum: use --frustum-grid, or leave out --lobe frustum",
-        );
-    }
-    if args.lobe != Some(EstimatorArg::Frustum) && args.frustum_grid.is_some() {
-        return refuse(
-            "--frustum-grid has no effect without --lobe frustum: add that, or leave out --frustum-grid",
-        );
-    }
     Ok(())
 }
 
-/// Refuses options that the method does not read.
-fn of_method(args: &RenderArgs) -> Result<()> {
+/// Options of `render` that have no effect with the others or at this quality, which the scene file may say: a warning for each.
+pub fn idle_of_render(args: &RenderArgs, quality: Quality) -> Vec<String> {
     use MethodArg::{Directional, Radiosity, TwoPass, Whitted};
     // What has elements, what solves for light within memory, and what samples emitters and lobes anew at each surface.
     let (divide, solve, shade) =
@@ -67,28 +51,57 @@ fn of_method(args: &RenderArgs) -> Result<()> {
         ("--directions", args.directions.is_some(), &[Directional]),
     ];
     let name = |m: &MethodArg| m.to_possible_value().map(|v| v.get_name().to_string()).unwrap_or_default();
-    match given.iter().find(|(_, given, methods)| *given && !methods.contains(&args.method)) {
-        Some((option, _, methods)) => {
-            let methods: Vec<String> = methods.iter().map(name).collect();
-            Err(Error::Usage(format!(
-                "{option} has no effect with --method {}: leave it out; it is for {}",
-                name(&args.method),
-                methods.join(", ")
-            )))
-        }
-        None => Ok(()),
+    let other_method = |(option, _, methods): &(&str, bool, &[MethodArg])| {
+        let methods: Vec<String> = methods.iter().map(name).collect();
+        format!(
+            "{option} has no effect with --method {}: it is for {}",
+            name(&args.method),
+            methods.join(", ")
+        )
+    };
+    let idle = given.iter().filter(|(_, given, methods)| *given && !methods.contains(&args.method));
+    let mut idle: Vec<String> = idle.map(other_method).collect();
+    let shades = shade.contains(&args.method);
+    let frustum = args.lobe == Some(EstimatorArg::Frustum);
+    if shades && frustum && args.lobe_rays.is_some() {
+        idle.push("--lobe-rays has no effect with --lobe frustum: that has --frustum-grid".into());
     }
+    if shades && !frustum && args.frustum_grid.is_some() {
+        idle.push("--frustum-grid has no effect without --lobe frustum".into());
+    }
+    if args.method == TwoPass && args.gather_rays.is_some() && quality != Quality::Gather {
+        idle.push(format!(
+            "--gather-rays has no effect at quality {}: it is for --quality gather",
+            quality.name()
+        ));
+    }
+    if args.exposure.is_some() && !args.output.iter().any(|o| image::has_exposure(o)) {
+        idle.push("--exposure has no effect on images that hold radiance: it is for .png and .jpg".into());
+    }
+    idle
 }
 
-/// Refuses what the quality, which the scene file may say, does not read.
-pub fn of_quality(args: &RenderArgs, quality: Quality) -> Result<()> {
-    if args.gather_rays.is_none() || quality == Quality::Gather {
-        return Ok(());
-    }
-    Err(Error::Usage(format!(
-        "--gather-rays has no effect at quality {}: leave it out, or choose --quality gather",
-        quality.name()
-    )))
+/// Options of `form-factors` that have no effect with the others: a warning for each.
+pub fn idle_of_form_factors(args: &FormFactorArgs) -> Vec<String> {
+    let rays = args.pass1.rays.is_some();
+    let viewed = args.view.is_some();
+    let idle = [
+        (viewed && rays, "--rays has no effect with --view, which finds no factors"),
+        (viewed && args.error.is_some(), "--error has no effect with --view, which finds no factors"),
+        (
+            viewed && args.method != FactorMethodArg::Ray,
+            "--method has no effect with --view, which finds no factors",
+        ),
+        (
+            !viewed && rays && args.method == FactorMethodArg::Analytic,
+            "--rays has no effect with --method analytic, whose factors are exact",
+        ),
+        (
+            args.floor.is_some() && args.error.is_none(),
+            "--floor has no effect without --error: it is the smallest factor that has that error",
+        ),
+    ];
+    idle.iter().filter(|i| i.0).map(|i| i.1.into()).collect()
 }
 
 /// Refuses what `form-factors` cannot do together.
@@ -111,20 +124,12 @@ pub fn of_form_factors(args: &FormFactorArgs, outputs: &[(PathBuf, Format)]) -> 
             "--method hemicube casts no rays: use --resolution and --hemicube-grid instead of --rays",
         );
     }
-    if args.method == FactorMethodArg::Analytic && args.pass1.rays.is_some() {
-        return refuse("--method analytic finds exact factors, whatever --rays is: leave out --rays");
-    }
     if args.method == FactorMethodArg::Analytic && (args.two_sided || args.rows.is_some()) {
         return refuse("--method analytic finds all rows of the fronts: leave out --rows and --two-sided");
     }
     let plain = args.method == FactorMethodArg::Ray && args.mirror == MirrorArg::None;
     if args.error.is_some() && (!plain || args.two_sided || args.rows.is_some()) {
         return refuse("--error belongs to --method ray without --mirror, --two-sided and --rows");
-    }
-    if args.floor.is_some() && args.error.is_none() {
-        return refuse(
-            "--floor is the smallest factor that --error is for: add --error E, or leave out --floor",
-        );
     }
     if args.method != FactorMethodArg::Ray && args.mirror != MirrorArg::None {
         return refuse("--mirror belongs to --method ray");
@@ -142,11 +147,6 @@ pub fn of_form_factors(args: &FormFactorArgs, outputs: &[(PathBuf, Format)]) -> 
         return refuse("View3D's format holds all rows: leave out --rows, or write .npz, .csv or .json");
     }
     if args.view.is_some() {
-        if args.method != FactorMethodArg::Ray || args.pass1.rays.is_some() || args.error.is_some() {
-            return refuse(
-                "--view draws one element's view and finds no factors: leave out --method, --rays and --error",
-            );
-        }
         if h.resolution.is_some_and(|n| n > MOST_VIEW_PIXELS) {
             return Err(Error::Usage(format!(
                 "--view unfolds a hemi-cube of {MOST_VIEW_PIXELS} pixels at most: lower --resolution"
@@ -176,19 +176,17 @@ mod tests {
     use super::*;
     use clap::Parser;
 
-    fn refused(options: &str) -> Option<String> {
+    fn idle(options: &str) -> Vec<String> {
         let words = "twopass render s.toml -o a.exr".split(' ').chain(options.split_whitespace());
         let Command::Render(args) = Args::try_parse_from(words).expect(options).command else {
             unreachable!("render was asked for");
         };
-        of_render(&args).and_then(|()| of_quality(&args, Quality::Mesh)).err().map(|e| {
-            assert_eq!(e.exit_code(), 2, "{options}");
-            e.to_string()
-        })
+        of_render(&args).expect(options);
+        idle_of_render(&args, Quality::Mesh)
     }
 
     #[test]
-    fn options_without_effect_are_refused() {
+    fn options_without_effect_are_named() {
         let options = [
             ("--rays 9", "two-pass radiosity directional"),
             ("--element-size 9", "two-pass radiosity directional"),
@@ -197,20 +195,18 @@ mod tests {
             ("--emitter-samples 9", "two-pass whitted"),
             ("--lobe lobe", "two-pass whitted"),
             ("--lobe-rays 9", "two-pass whitted"),
-            ("--lobe frustum --frustum-grid 9", "two-pass whitted"),
+            ("--lobe frustum", "two-pass whitted"),
             ("--directions 9", "directional"),
             ("--spp 9", "two-pass radiosity whitted path directional"),
         ];
         for (option, methods) in options {
             for method in ["two-pass", "radiosity", "whitted", "path", "directional"] {
-                let said = refused(&format!("{option} --method {method}"));
+                let said = idle(&format!("{option} --method {method}"));
                 let reads = methods.split(' ').any(|m| m == method);
-                assert_eq!(said.is_none(), reads, "{option} --method {method}: {said:?}");
+                assert_eq!(said.is_empty(), reads, "{option} --method {method}: {said:?}");
                 let name = option.split(' ').next().unwrap_or_default();
-                let whom = format!("{name} has no effect with --method {method}");
-                assert!(
-                    said.is_none_or(|s| s.contains(&whom) && s.contains(methods.split(' ').next().unwrap()))
-                );
+                let whom = format!("{name} has no effect with --method {method}: it is for");
+                assert!(reads || said.len() == 1 && said[0].starts_with(&whom), "{said:?}");
             }
         }
         for (options, parts) in [
@@ -221,9 +217,9 @@ mod tests {
             ("--exposure 1", ["--exposure", ".png"]),
             ("--exposure 1 -o b.tif -o c.hdr", ["--exposure", ".png"]),
         ] {
-            let said = refused(options).expect(options);
-            assert!(parts.iter().all(|p| said.contains(p)), "{options}: {said}");
+            let said = idle(options);
+            assert!(said.len() == 1 && parts.iter().all(|p| said[0].contains(p)), "{options}: {said:?}");
         }
-        assert_eq!(refused("--exposure 1 -o b.JPG"), None);
+        assert!(idle("--exposure 1 -o b.JPG").is_empty());
     }
 }

@@ -41,7 +41,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     let scene = pipeline::stage("load", 0, observer, &mut stages, || (load(&args.scene), 0))?;
     scene.warnings.iter().for_each(|w| progress.warn(w));
     let cameras = cameras(args, &scene)?;
-    options::of_quality(args, quality(args.quality, &scene))?;
+    options::idle_of_render(args, quality(args.quality, &scene)).iter().for_each(|w| progress.warn(w));
     spare_inputs(scene.files.iter().chain(&args.solution), &files(args, &patterns, &cameras))?;
     let kept = args.solution.as_ref().map(|path| {
         pipeline::stage("solution", 0, observer, &mut stages, || (Solution::read_npz(&scene, path), 0))
