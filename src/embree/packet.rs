@@ -97,8 +97,8 @@ pub struct Hits {
     pub u: [f32; LANES],
     /// Second coordinate on the face.
     pub v: [f32; LANES],
-    /// Towards the front of the face, of any length.
-    pub normal: [[f32; LANES]; 3],
+    /// Cosine between the ray and the face's front, times a positive number; negative where the ray comes to the front.
+    pub cosine: [f32; LANES],
 }
 
 /// 16 rays and their nearest hits.
@@ -146,13 +146,13 @@ impl RayPacket {
         query.tnear = [0.0; LANES];
         query.tfar = [f32::INFINITY; LANES];
         self.query.hit.geomID = [MISS; LANES];
-        let mut size = [0f32; LANES];
-        for lanes in rays.origin.iter().chain(&rays.direction) {
-            size.iter_mut().zip(lanes).for_each(|(size, x)| *size += x.abs());
-        }
-        // No shifts by the lane and no branches: all lanes at once.
-        for ((valid, size), bit) in self.valid.0.iter_mut().zip(&size).zip(&BITS) {
-            *valid = -(i32::from(i32::from(active) & bit != 0) & i32::from(*size < LIMIT));
+        let ([x, y, z], [dx, dy, dz]) = (&rays.origin, &rays.direction);
+        let active = i32::from(active);
+        for l in 0..LANES {
+            let size = (x[l].abs() + y[l].abs() + z[l].abs()) + (dx[l].abs() + dy[l].abs() + dz[l].abs());
+            // No shifts by the lane and no branches: all lanes at once.
+            let chosen = if active & BITS[l] != 0 { -1 } else { 0 };
+            self.valid.0[l] = if size < LIMIT { chosen } else { 0 };
         }
     }
 
@@ -172,18 +172,27 @@ impl RayPacket {
         self.query.hit.geomID = [MISS; LANES];
     }
 
+    /// Origin and direction of a lane (0 to 15).
+    #[inline]
+    pub fn ray(&self, lane: usize) -> (Vec3, Vec3) {
+        let r = &self.query.ray;
+        let origin = Vec3::new(r.org_x[lane], r.org_y[lane], r.org_z[lane]);
+        (origin, Vec3::new(r.dir_x[lane], r.dir_y[lane], r.dir_z[lane]))
+    }
+
     /// The hits of all lanes.
     #[inline(always)]
     pub fn hits(&self) -> Hits {
-        let hit = &self.query.hit;
-        let mut hits =
-            Hits { face: [MISS; LANES], u: hit.u, v: hit.v, normal: [hit.Ng_x, hit.Ng_y, hit.Ng_z] };
+        let (ray, hit) = (&self.query.ray, &self.query.hit);
+        let mut hits = Hits { face: [MISS; LANES], u: hit.u, v: hit.v, cosine: [0.0; LANES] };
         for l in 0..LANES {
             // No branches: all lanes at once.
             let found = (self.valid.0[l] != 0) & (hit.geomID[l] != MISS);
             let (met, second) = face_of(hit.primID[l], self.triangle_count);
             hits.face[l] = if found { met } else { MISS };
             (hits.u[l], hits.v[l]) = (turned(hit.u[l], second), turned(hit.v[l], second));
+            hits.cosine[l] =
+                hit.Ng_x[l] * ray.dir_x[l] + hit.Ng_y[l] * ray.dir_y[l] + hit.Ng_z[l] * ray.dir_z[l];
         }
         hits
     }

@@ -1,7 +1,7 @@
 //! Where rays land: the element and the kind of surface of each hit.
 
 use super::raycast::{AtSpecular, Casting};
-use crate::embree::{Hits, LANES, RayLanes};
+use crate::embree::{Hits, LANES};
 use crate::mesh::{Mesh, NONE};
 use crate::scene::Scene;
 use crate::visibility::{FaceSides, SideTable};
@@ -83,8 +83,8 @@ impl Targets {
 
     /// Where the rays of a packet landed.
     #[inline(always)]
-    pub(super) fn landings<S: Simd>(&self, simd: S, hits: &Hits, rays: &RayLanes) -> Landings {
-        let sides = self.0.lanes(simd, hits, rays);
+    pub(super) fn landings<S: Simd>(&self, simd: S, hits: &Hits) -> Landings {
+        let sides = self.0.lanes(simd, hits);
         Landings { column: sides.cells(), kind: sides.kind }
     }
 }

@@ -15,7 +15,7 @@ use super::immersed::{Immersed, settle};
 use super::landing::{ABSORBED, EMITTER, ESCAPED, SPECULAR, Targets, UNREACHED};
 use super::matrix::{ExchangeMatrix, RowSummary};
 use super::rows::{Block, Builder};
-use super::source::{Lanes, groups, lane, shared};
+use super::source::{Lanes, groups, shared};
 use super::specular::Chains;
 use super::tally::{Counts, Tally};
 use crate::color::Rgb;
@@ -357,7 +357,7 @@ impl<'a, 's> Caster<'a, 's> {
             scratch.packet.fill(&rays, active);
             self.visibility.closest16(&mut scratch.packet, true);
             let hits = scratch.packet.hits();
-            let landings = self.targets.landings(simd, &hits, &rays);
+            let landings = self.targets.landings(simd, &hits);
             let mut other = [false; LANES];
             for l in 0..LANES {
                 let is = |kinds: u8| landings.kind[l] & u32::from(kinds) != 0;
@@ -377,7 +377,7 @@ impl<'a, 's> Caster<'a, 's> {
                 } else if other[l] {
                     let (k, point) = place(l);
                     let at = (offset + k, batch, (base + point) as u32);
-                    self.beyond(scratch, &lanes.sources[k], at, lane(&rays, l), l);
+                    self.beyond(scratch, &lanes.sources[k], at, l);
                 } else {
                     scratch.landed[own[l] + base] = landings.column[l];
                 }

@@ -13,7 +13,7 @@
 use crate::embree::{LANES, RayLanes};
 use crate::geometry::Frame;
 use crate::mesh::Mesh;
-use crate::sampling::{Scramble, ScrambledPoints, SobolTable, concentric_disc_rough, seed_of, unit};
+use crate::sampling::{Scramble, ScrambledPoints, SobolTable, cosine_hemisphere_rough, seed_of, unit};
 use crate::visibility::Visibility;
 use glam::{DVec2, DVec3, Vec3};
 use std::ops::Range;
@@ -61,6 +61,8 @@ pub(super) struct Lanes {
     y: [[f32; LANES]; 3],
     z: [[f32; LANES]; 3],
     triangle: [bool; LANES],
+    /// Some elements are triangles.
+    triangular: bool,
     /// Of elements that are no parallelograms.
     twist: Option<Twist>,
     shift: [[u32; LANES]; 4],
@@ -89,6 +91,7 @@ impl Lanes {
             y: none,
             z: none,
             triangle: [false; LANES],
+            triangular: false,
             twist: None,
             shift: [[0; LANES]; 4],
         };
@@ -119,6 +122,7 @@ impl Lanes {
                 lanes.z[c][k] = frame.z.as_vec3()[c];
             }
             lanes.triangle[k] = grid.is_triangle();
+            lanes.triangular |= grid.is_triangle();
             lanes.sources.push(Source { element, face, normal, area: mesh.area(element) });
         }
         debug_assert!(lanes.sources.len().is_power_of_two());
@@ -171,14 +175,15 @@ impl Lanes {
 
     /// Coordinates of the points that are due by lane.
     #[inline(always)]
-    fn spread(&self, due: &[u32]) -> [u32; LANES] {
-        match (due.len() >= self.points_a_packet(), self.width) {
-            (true, 16) => repeated::<16>(due),
-            (true, 8) => repeated::<8>(due),
-            (true, 4) => repeated::<4>(due),
-            (true, 2) => repeated::<2>(due),
-            (true, _) => repeated::<1>(due),
-            (false, _) => std::array::from_fn(|l| due[self.place(l).1.min(due.len() - 1)]),
+    fn spread(&self, points: &ScrambledPoints, first: usize) -> [[u32; LANES]; 4] {
+        let due = [0, 1, 2, 3].map(|d| &points.coordinate(d)[first..]);
+        match (due[3].len() >= self.points_a_packet(), self.width) {
+            (true, 16) => due.map(repeated::<16>),
+            (true, 8) => due.map(repeated::<8>),
+            (true, 4) => due.map(repeated::<4>),
+            (true, 2) => due.map(repeated::<2>),
+            (true, _) => due.map(repeated::<1>),
+            (false, _) => due.map(|due| std::array::from_fn(|l| due[self.place(l).1.min(due.len() - 1)])),
         }
     }
 
@@ -186,15 +191,14 @@ impl Lanes {
     #[inline(always)]
     pub(super) fn rays(&self, points: &ScrambledPoints, first: usize) -> RayLanes {
         let mut p = [[0.0f32; LANES]; 4];
-        for (d, (lanes, shift)) in p.iter_mut().zip(&self.shift).enumerate() {
-            let x = self.spread(&points.coordinate(d)[first..]);
+        for ((lanes, shift), x) in p.iter_mut().zip(&self.shift).zip(self.spread(points, first)) {
             for ((lane, s), x) in lanes.iter_mut().zip(shift).zip(x) {
                 *lane = unit(x ^ s);
             }
         }
         let mut rays = RayLanes { origin: [[0.0; LANES]; 3], direction: [[0.0; LANES]; 3] };
         let (mut s, mut t) = (p[0], p[1]);
-        if self.triangle.contains(&true) {
+        if self.triangular {
             for l in 0..LANES {
                 // [`crate::sampling::triangle`] without a branch.
                 let (u, v) = (p[0][l], p[1][l]);
@@ -212,8 +216,7 @@ impl Lanes {
         }
         let (mut dx, mut dy, mut dz) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
         for l in 0..LANES {
-            (dx[l], dy[l]) = concentric_disc_rough(p[2][l], p[3][l]);
-            dz[l] = (1.0 - dx[l] * dx[l] - dy[l] * dy[l]).max(0.0).sqrt();
+            [dx[l], dy[l], dz[l]] = cosine_hemisphere_rough(p[2][l], p[3][l]);
         }
         for c in 0..3 {
             for l in 0..LANES {
@@ -242,13 +245,6 @@ fn repeated<const WIDTH: usize>(due: &[u32]) -> [u32; LANES] {
 fn linear(slope: f32, r: f32) -> f32 {
     let start = 1.0 - slope;
     2.0 * r / (start + (start * start + 4.0 * slope * r).sqrt())
-}
-
-/// Lane `k` of 16 rays.
-#[inline]
-pub(super) fn lane(rays: &RayLanes, k: usize) -> (Vec3, Vec3) {
-    let at = |v: &[[f32; 16]; 3]| Vec3::new(v[0][k], v[1][k], v[2][k]);
-    (at(&rays.origin), at(&rays.direction))
 }
 
 /// Which of `m` elements of a group share packets: powers of two, so that each packet is full; each alone where 16 rays of one

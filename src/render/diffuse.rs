@@ -13,7 +13,7 @@ use crate::embree::{LANES, RayLanes, RayPacket, ShadowPacket};
 use crate::emitters::{Passage, connect, cosine_density, mis_share};
 use crate::form_factor::{Carried, Chains, Link};
 use crate::geometry::Frame;
-use crate::sampling::{cell_bits, concentric_disc_rough, sobol_bits, unit};
+use crate::sampling::{cell_bits, cosine_hemisphere_rough, sobol_bits, unit};
 use crate::scene::Material;
 use crate::visibility::{SurfaceHit, SurfacePoint};
 use glam::{DVec3, Vec3};
@@ -219,7 +219,7 @@ impl Context<'_, '_> {
             packet.fill(&rays, active);
             self.visibility.closest16(&mut packet, rays.is_narrow(active));
             let hits = packet.hits();
-            let places = self.landings.places(simd, &hits, &rays);
+            let places = self.landings.places(simd, &hits);
             for lane in numbers.lanes(count - base) {
                 let r = numbers.receiver(lane);
                 let &Receiver { face, origin, normal, sampler, albedo, .. } = &receivers[r];
@@ -410,8 +410,7 @@ impl Bases {
     fn rays(&self, [u, v, _]: &[[f32; LANES]; 3]) -> RayLanes {
         let (mut dx, mut dy, mut dz) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
         for l in 0..LANES {
-            (dx[l], dy[l]) = concentric_disc_rough(u[l], v[l]);
-            dz[l] = (1.0 - dx[l] * dx[l] - dy[l] * dy[l]).max(0.0).sqrt();
+            [dx[l], dy[l], dz[l]] = cosine_hemisphere_rough(u[l], v[l]);
         }
         let mut direction = [[0.0; LANES]; 3];
         for (c, d) in direction.iter_mut().enumerate() {

@@ -2,7 +2,7 @@
 
 use super::Context;
 use crate::color::Rgb;
-use crate::embree::{Hits, LANES, RayLanes};
+use crate::embree::{Hits, LANES};
 use crate::emitters::Emitters;
 use crate::mesh::NONE;
 use crate::radiosity::{Field, Solution};
@@ -55,8 +55,8 @@ impl Landings {
 
     /// Where the rays of a packet landed.
     #[inline(always)]
-    pub fn places<S: Simd>(&self, simd: S, hits: &Hits, rays: &RayLanes) -> Places {
-        let sides = self.0.lanes(simd, hits, rays);
+    pub fn places<S: Simd>(&self, simd: S, hits: &Hits) -> Places {
+        let sides = self.0.lanes(simd, hits);
         let (nodes, weights) = sides.interpolation();
         Places { first: sides.first, nodes, weights, kind: sides.kind }
     }

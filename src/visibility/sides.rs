@@ -1,6 +1,6 @@
 //! What rays need to know of the side of a face that they land on, side by side in memory, for 16 at a time without branches.
 
-use crate::embree::{Hits, LANES, RayLanes};
+use crate::embree::{Hits, LANES};
 use crate::mesh::{Grid, Lattice, NONE};
 use crate::scene::{Face, from_halves};
 use glam::Vec3;
@@ -99,17 +99,15 @@ impl SideTable {
 
     /// The sides that the rays of a packet landed on.
     #[inline(always)]
-    pub fn lanes<S: Simd>(&self, simd: S, hits: &Hits, rays: &RayLanes) -> SideLanes<'_> {
-        let last = self.records.len() - 1;
-        let met: [&Record; LANES] = std::array::from_fn(|l| &self.records[(hits.face[l] as usize).min(last)]);
+    pub fn lanes<S: Simd>(&self, simd: S, hits: &Hits) -> SideLanes<'_> {
+        let last = self.records.len() as u32 - 1;
+        let face = hits.face.map(|face| face.min(last));
+        let met: [&Record; LANES] = std::array::from_fn(|l| &self.records[face[l] as usize]);
         let [front_first, back_first, bits, nu, nv, cx, cy, _] = fields(simd, met);
         let (mut first, mut kind, mut triangle) = ([0; LANES], [0; LANES], [0; LANES]);
         for l in 0..LANES {
-            let [dx, dy, dz] = [0, 1, 2].map(|c| rays.direction[c][l]);
-            let [x, y, z] = [0, 1, 2].map(|c| hits.normal[c][l]);
-            let cosine = x * dx + y * dy + z * dz;
             // All ones where the ray comes to the front: as a mask, LLVM leaves it in its lane. Adding zero takes the sign from -0.
-            let front = ((cosine + 0.0).to_bits() as i32 >> 31) as u32;
+            let front = ((hits.cosine[l] + 0.0).to_bits() as i32 >> 31) as u32;
             first[l] = back_first[l] ^ ((front_first[l] ^ back_first[l]) & front);
             kind[l] = bits[l] >> (8 & !front) & 0xff;
             triangle[l] = bits[l] >> 16;

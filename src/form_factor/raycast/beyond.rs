@@ -20,15 +20,9 @@ impl Caster<'_, '_> {
     /// A ray that met its own face, an emitter, a specular surface or a side that no light can reach; `at` is the place in the group,
     /// the randomisation and the point, `l` the lane of the packet.
     #[cold]
-    pub(super) fn beyond(
-        &self,
-        scratch: &mut Scratch,
-        source: &Source,
-        at: (usize, u32, u32),
-        (origin, direction): (Vec3, Vec3),
-        l: usize,
-    ) {
+    pub(super) fn beyond(&self, scratch: &mut Scratch, source: &Source, at: (usize, u32, u32), l: usize) {
         let (k, batch, point) = at;
+        let (origin, direction) = scratch.packet.ray(l);
         let place = self.place(scratch, k, batch);
         let Some(mut hit) = self.visibility.lane(&scratch.packet, l, origin, direction, source.face) else {
             scratch.fates[place].escaped += 1;
