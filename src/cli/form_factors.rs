@@ -120,16 +120,7 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
         drop(found);
         if let Some(enforce) = enforced(args.enforce) {
             let correction = correct(&mut factors, enforce)?;
-            progress.line(&format!(
-                "{} enforced: factors moved by {:.1e} at most, {:.1e} RMS{}",
-                correction.enforced,
-                correction.largest_move,
-                correction.rms_move,
-                correction
-                    .rms_move_in_standard_errors
-                    .map(|m| format!(" ({m:.2} standard errors)"))
-                    .unwrap_or_default()
-            ));
+            progress.line(&correction.line());
             if let Some(numbers) = &mut numbers {
                 (numbers.written, numbers.correction) = (factors.written, Some(correction));
             }
