@@ -178,6 +178,10 @@ fn scipy_loads_the_matrix() {
         assert (F.data == want['form_factors']).all() and (F.indices == want['indices']).all() and (F.indptr == want['indptr']).all()\n\
         assert abs(np.asarray(F.sum(axis=1)).ravel() + extra['escaped'] - 1).max() < 1e-6\n\
         assert (extra['area'] == want['areas']).all() and (extra['standard_error'] == want['standard_errors']).all()\n\
+        assert list(extra['objects']) == want['objects'] and (extra['object'] == want['object']).all()\n\
+        assert extra['objects'].dtype.kind == 'U' and len(extra['object']) == 28\n\
+        S = sp.csr_matrix((extra['area'], (extra['object'], range(28)))); T = S @ F @ sp.csr_matrix((np.ones(28), (range(28), extra['object'])))\n\
+        T = T.toarray() / np.asarray(S.sum(axis=1)); assert abs(T.sum(axis=1) - 1).max() < 1e-6 and T.shape == (6, 6)\n\
         G = sp.diags(extra['area']) @ F\n\
         print(abs(G - G.T).max())\n";
     let output =
