@@ -282,7 +282,14 @@ impl Symmetric {
                     let close = |a: f64, b: f64, share: f64| (a - b).abs() <= share * a.max(b);
                     // Errors of pairs are kept in f32.
                     let same = i == j || close(x.0, y.0, SAME) && close(x.1, y.1, EXACT);
-                    let error = if same { x.1.max(y.1) } else { (wx * x.1).hypot(wy * y.1) / (wx + wy) };
+                    let error = if same {
+                        x.1.max(y.1)
+                    } else if is_exact(x.0, x.1) && is_exact(y.0, y.1) {
+                        // Randomisations of a few rays agree by chance, and the directions do not.
+                        (value - x.0).abs().max((value - y.0).abs())
+                    } else {
+                        (wx * x.1).hypot(wy * y.1) / (wx + wy)
+                    };
                     result.errors.push(error);
                     variance = variance.min(error.max(EXACT * value).powi(2));
                 }
@@ -339,8 +346,11 @@ impl Noise {
         };
         let rows: Vec<f64> = (0..n).map(|i| variance(i) * raw.areas[i]).collect();
         let largest = rows.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
-        // What lies outside is counted by rays, however well the factors of its row are known.
-        let outside = (0..n).map(|i| c[i].max(mean) * raw.areas[i] / largest).collect();
+        // What lies outside is counted by rays, however well the factors of its row are known; where it is nothing, it stays so
+        // however far the row's factors must move.
+        let lost = |i: usize| raw.escaped[i] + raw.absorbed[i] > 0.0;
+        let mobility = |i: usize| if lost(i) { c[i].max(mean) * raw.areas[i] / largest } else { 0.0 };
+        let outside = (0..n).map(mobility).collect();
         Noise { weights: rows.iter().map(|v| 1.0 / v).collect(), largest, outside }
     }
 }
@@ -388,11 +398,8 @@ fn state(g: &Symmetric, outside: &Outside, areas: &[f64], x: &[f64]) -> Vec<RowS
     g.by_row(|i, entries| {
         let (o, v) = (outside.areas[i], outside.mobility[i]);
         let beyond = o * (v * x[i]).exp();
-        let mut row = RowState {
-            sum: beyond,
-            stiffness: v * beyond,
-            value: if o > 0.0 { o * raised(v, x[i]) } else { 0.0 } - areas[i] * x[i],
-        };
+        let mut row =
+            RowState { sum: beyond, stiffness: v * beyond, value: o * raised(v, x[i]) - areas[i] * x[i] };
         for k in entries {
             let (w, both) = (f64::from(g.mobility[k]), x[i] + x[g.columns[k] as usize]);
             let raised = raised(w, both);
@@ -428,7 +435,7 @@ fn multipliers(g: &Symmetric, outside: &Outside, raw: &Factors) -> Result<(Vec<f
         let mut s = newton_step(g, &x, &rows, &gradient, residual.min(0.1));
         let most = |a: f64, b: f64| a.max(b);
         let growths = g.by_row(|i, entries| {
-            let own = if outside.areas[i] > 0.0 { outside.mobility[i] * s[i] } else { 0.0 };
+            let own = outside.mobility[i] * s[i];
             entries.map(|k| f64::from(g.mobility[k]) * (s[i] + s[g.columns[k] as usize])).fold(own, most)
         });
         let longest = growths.into_iter().fold(0.0, most);
