@@ -102,6 +102,23 @@ impl<W: Write + Seek> Writer<W> {
         writer.finish()
     }
 
+    /// Adds a row of texts, as NumPy's fixed-width Unicode, which it reads without pickle.
+    ///
+    /// # Errors
+    /// Those of the file.
+    pub fn texts(&mut self, name: &str, texts: &[String]) -> Result<()> {
+        let width = texts.iter().map(|t| t.chars().count()).max().unwrap_or(0).max(1);
+        let kind = DType::Plain(format!("<U{width}").parse().map_err(std::io::Error::other)?);
+        let options = npyz::WriteOptions::new_header_only().dtype(kind).shape(&[texts.len() as u64]);
+        let entry = options.writer(self.entry(name)?).write_header_only()?;
+        for text in texts {
+            let characters = text.chars().map(u32::from).chain(std::iter::repeat(0)).take(width);
+            let bytes: Vec<u8> = characters.flat_map(u32::to_le_bytes).collect();
+            entry.write_all(&bytes)?;
+        }
+        Ok(())
+    }
+
     fn entry(&mut self, name: &str) -> Result<&mut ZipWriter<Told<W>>> {
         // More than 4 GiB need to be announced before it is known how much there is.
         let stored =

@@ -203,13 +203,16 @@ pub struct FormFactorArgs {
     /// Both sides of every face take part; backs come as objects `NAME:back` after all fronts.
     #[arg(long)]
     pub two_sided: bool,
-    /// Only rows A to B - 1 (elements, or objects with --by-object, counted from 0) are computed and written.
+    /// Only rows A to B - 1 (elements, or objects with --by-object, counted from 0) are computed and written, as they are among
+    /// all.
     #[arg(long, value_name = "A..B", value_parser = rows, allow_hyphen_values = true)]
     pub rows: Option<Range<usize>>,
-    /// Move the factors as little as possible so that they obey reciprocity, or reciprocity and closure.
+    /// Move the factors as little as their standard errors allow so that they obey reciprocity, or reciprocity and closure; factors without a
+    /// standard error stay where the others can close the rows.
     #[arg(long, value_enum, default_value_t = EnforceArg::None)]
     pub enforce: EnforceArg,
-    /// File to write; may be given several times: .npz (scipy.sparse.load_npz), .csv, .json, .vf or .out (View3D's text
+    /// File to write; may be given several times: .npz (scipy.sparse.load_npz; numpy.load finds area, escaped, absorbed,
+    /// standard_error, objects and each element's object beside the matrix), .csv, .json, .vf or .out (View3D's text
     /// format), or a picture of the matrix (.png, ...). "-" for JSON on standard output, the default with --by-object.
     #[arg(short, long, value_name = "FILE")]
     pub output: Vec<PathBuf>,

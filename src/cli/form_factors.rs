@@ -8,7 +8,7 @@ use crate::embree::Device;
 use crate::form_factor::export::{self, View};
 use crate::form_factor::{
     AtSpecular, Casting, Enforce, Factors, Found, HemicubeErrors, HemicubeSettings, Request, cast_images,
-    cast_rows, correct, estimate, hemicube, unoccluded,
+    cast_rows, correct, estimate_rows, hemicube, unoccluded,
 };
 use crate::image::{self, WriteOptions};
 use crate::mesh::{Mesh, Sides, default_element_size};
@@ -121,16 +121,7 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
         drop(found);
         if let Some(enforce) = enforced(args.enforce) {
             let correction = correct(&mut factors, enforce)?;
-            progress.line(&format!(
-                "{} enforced: factors moved by {:.1e} at most, {:.1e} RMS{}",
-                correction.enforced,
-                correction.largest_move,
-                correction.rms_move,
-                correction
-                    .rms_move_in_standard_errors
-                    .map(|m| format!(" ({m:.2} standard errors)"))
-                    .unwrap_or_default()
-            ));
+            progress.line(&correction.line());
             if let Some(numbers) = &mut numbers {
                 (numbers.written, numbers.correction) = (factors.written, Some(correction));
             }
@@ -193,7 +184,7 @@ impl Run<'_> {
                         (matrix.map(Found::by_rows), rays)
                     });
                 }
-                if self.args.mirror == MirrorArg::None && !self.args.two_sided && rows.is_none() {
+                if self.args.mirror != MirrorArg::Chain {
                     return Ok(pipeline::stage("form-factors", count, observer, self.stages, || {
                         let request = Request {
                             rays: settings.rays,
@@ -203,7 +194,7 @@ impl Run<'_> {
                             seed: settings.seed,
                             progress: &advance,
                         };
-                        let found = estimate(&visibility, self.mesh, &request);
+                        let found = estimate_rows(&visibility, self.mesh, &request, rows);
                         let rays = found.rays;
                         (found, rays)
                     }));
@@ -213,10 +204,7 @@ impl Run<'_> {
                         rays: settings.rays,
                         batches: BATCHES,
                         seed: settings.seed,
-                        specular: match self.args.mirror {
-                            MirrorArg::Chain => AtSpecular::GoOn,
-                            _ => AtSpecular::End,
-                        },
+                        specular: AtSpecular::GoOn,
                         reached: None,
                         emitters: None,
                         progress: &advance,

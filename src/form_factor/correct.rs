@@ -5,25 +5,32 @@
 //! **Reciprocity.** `G_ij` and `G_ji` estimate one number. Their mean weighted by the inverse variances replaces both. A
 //! single entry's sample variance is no good weight: it rises and falls with the entry itself, and one that no ray
 //! happened to hit has none. The variances are modelled as those of counts, `var(G_ij) = c_i A_i G_ij`, with
-//! one `c_i` a row, measured as the ratio of the row's summed sample variances to its summed factors; without
+//! one `c_i` a row, measured as the ratio of the row's summed sample variances to its summed factors, exact ones left out; without
 //! standard errors all `c_i` are equal. The weights `1 / (c_i A_i)` do not depend on the entry, so the mean stays unbiased.
+//! Where both directions agree to the last digits, they are one estimate, and their mean is no better than it.
 //!
-//! **Closure.** Of all symmetric matrices with the pattern of G, the one nearest to it in relative entropy whose rows
-//! sum to the areas is `D G D` with a positive diagonal D (symmetric Sinkhorn scaling; Knight and Ruiz, IMA J. Numer. Anal. 33,
-//! 2013). For small moves that is least-squares smoothing weighted by the variances of counts, as
+//! **Closure.** Of all symmetric matrices with the pattern of G whose rows sum to the areas, the one nearest to it in
+//! relative entropy, each entry's counted by `G_ij / var(G_ij)`, is `G_ij exp(w_ij (x_i + x_j))` with `w_ij = var(G_ij) / G_ij`.
+//! For small moves that is least-squares smoothing weighted by the variances, as
 //! Larsen and Howell (J. Heat Transfer 108, 1986) and Daun, Morton and Howell (J. Heat Transfer 127, 2005) do it, but no entry can turn
-//! negative and none appears where no ray went. van Leersum (Int. J. Heat Fluid Flow 10, 1989) spreads the residual
-//! in proportion to the entries row by row, which converges to the same kind of scaling. In an open enclosure what lies outside
-//! takes part as one more surface with no sum of its own, `A_i = sum_j G_ij + A_i (escaped_i + absorbed_i)`, so escaped
-//! and absorbed shares move like the factors of their row.
+//! negative and none appears where no ray went. With the same `w` everywhere it is symmetric Sinkhorn scaling (Knight and Ruiz,
+//! IMA J. Numer. Anal. 33, 2013). The variance is that of counts, or the sample variance where that is smaller: of entries found
+//! otherwise. Entries without a standard error count as known to a millionth: they stay, to some 1e-10 of
+//! themselves, where estimates can close the row, and move like each other in a row that consists of them alone. In an open enclosure what
+//! lies outside takes part as one more surface with no sum of its own, `A_i = sum_j G_ij + A_i (escaped_i + absorbed_i)`, so
+//! escaped and absorbed shares move as counts of their row.
 //!
-//! D minimises the convex function `1/2 sum_ij G_ij e^(x_i + x_j) + sum_i O_i e^(x_i) - sum_i A_i x_i` with `D_ii = e^(x_i)`,
-//! found by Newton's method with conjugate gradients.
+//! The x minimise the convex function
+//! `1/2 sum_ij G_ij (e^(w_ij (x_i + x_j)) - 1) / w_ij + sum_i O_i (e^(v_i x_i) - 1) / v_i - sum_i A_i x_i`, found by Newton's method
+//! with conjugate gradients.
+//!
+//! An entry that closure moves by more than its standard error has that move as standard error.
 
 use super::Factors;
 use crate::{Error, Result};
 use rayon::prelude::*;
 use serde::Serialize;
+use std::ops::Range;
 
 /// What a matrix is made to obey.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,10 +52,14 @@ pub struct Correction {
     pub largest_move: f64,
     /// Root mean square move of the factors.
     pub rms_move: f64,
-    /// Largest move in standard errors, of those factors that have one above zero.
+    /// Largest move in standard errors, of those factors that have one.
     pub largest_move_in_standard_errors: Option<f64>,
     /// Root mean square move in standard errors, of the same.
     pub rms_move_in_standard_errors: Option<f64>,
+    /// Factors without a standard error, which are exact as far as the estimator can say; 0 where none has one to tell.
+    pub exact_factors: usize,
+    /// Largest move of one of these, as a share of the factor.
+    pub largest_relative_move_of_exact: f64,
     /// Largest move of an escaped or absorbed share.
     pub largest_move_of_escape: f64,
     /// Newton's steps for closure.
@@ -59,11 +70,39 @@ pub struct Correction {
     pub closure_before: f64,
 }
 
+impl Correction {
+    /// What the correction did, in a line.
+    pub fn line(&self) -> String {
+        let in_errors = self.rms_move_in_standard_errors.map(|m| format!(" ({m:.2} standard errors)"));
+        let exact = (self.largest_relative_move_of_exact > TOLD).then(|| {
+            let (count, most) = (self.exact_factors, self.largest_relative_move_of_exact);
+            format!("; {count} factors without standard errors by {most:.1e} of themselves at most")
+        });
+        format!(
+            "{} enforced: factors moved by {:.1e} at most, {:.1e} RMS{}{}",
+            self.enforced,
+            self.largest_move,
+            self.rms_move,
+            in_errors.unwrap_or_default(),
+            exact.unwrap_or_default()
+        )
+    }
+}
+
+/// Relative move of exact factors that is worth a word.
+const TOLD: f64 = 1e-9;
 /// Rows sum to 1 within this.
 pub const CLOSURE_TOLERANCE: f64 = 1e-12;
 /// Newton's steps: far more than a matrix takes that has a solution.
 const MOST_STEPS: usize = 60;
 const MOST_CG_STEPS: usize = 400;
+/// Growth of an entry in one of Newton's steps, as a logarithm: e^x is no straight line.
+const MOST_GROWTH: f64 = 2.0;
+/// Relative standard error up to which a factor counts as exact: rounding makes as much of none, and integrals
+/// over cells have a hundred times more.
+const EXACT: f64 = 1e-6;
+/// Relative difference of two directions' estimates that are one estimate.
+const SAME: f64 = 1e-12;
 
 /// Corrects factors in place; all rows must be held.
 ///
@@ -76,19 +115,29 @@ pub fn correct(factors: &mut Factors, enforce: Enforce) -> Result<Correction> {
         return Err(Error::Usage("a correction needs all rows of the matrix".into()));
     }
     let raw = factors.clone();
-    let mut symmetric = Symmetric::new(&raw);
-    let outside: Vec<f64> = (0..n).map(|i| raw.areas[i] * (raw.escaped[i] + raw.absorbed[i])).collect();
-    let (scale, iterations) = match enforce {
-        Enforce::Reciprocity => (vec![1.0; n], 0),
-        Enforce::Closure => scaling(&symmetric, &outside, &raw)?,
+    let noise = Noise::of(&raw);
+    let mut symmetric = Symmetric::new(&raw, &noise);
+    let outside = Outside {
+        areas: (0..n).map(|i| raw.areas[i] * (raw.escaped[i] + raw.absorbed[i])).collect(),
+        mobility: noise.outside.clone(),
+    };
+    let exact: Vec<bool> =
+        symmetric.values.iter().zip(&symmetric.errors).map(|(v, e)| is_exact(*v, *e)).collect();
+    let (x, iterations) = match enforce {
+        Enforce::Reciprocity => (vec![0.0; n], 0),
+        Enforce::Closure => multipliers(&symmetric, &outside, &raw)?,
     };
     for i in 0..n {
         for k in symmetric.start[i]..symmetric.start[i + 1] {
-            // The product is formed alike for (i, j) and (j, i).
-            let factor = scale[i] * scale[symmetric.columns[k] as usize];
-            symmetric.values[k] *= factor;
+            // The sum is formed alike for (i, j) and (j, i).
+            let growth = symmetric.growth(k, x[i] + x[symmetric.columns[k] as usize]);
+            let before = symmetric.values[k];
+            symmetric.values[k] *= growth;
             if let Some(error) = symmetric.errors.get_mut(k) {
-                *error *= factor;
+                let moved = (symmetric.values[k] - before).abs();
+                // A move within rounding leaves what is exact exact.
+                let told = if moved > SAME * before { moved } else { 0.0 };
+                *error = (*error * growth.max(1.0)).max(told);
             }
         }
     }
@@ -98,15 +147,21 @@ pub fn correct(factors: &mut Factors, enforce: Enforce) -> Result<Correction> {
     factors.errors = symmetric.errors.iter().zip(&area_of).map(|(g, i)| g / raw.areas[*i]).collect();
     factors.start = symmetric.start;
     factors.columns = symmetric.columns;
-    for (i, s) in scale.iter().enumerate() {
-        factors.escaped[i] *= s;
-        factors.absorbed[i] *= s;
+    for (i, x) in x.iter().enumerate() {
+        let growth = (outside.mobility[i] * x).exp();
+        factors.escaped[i] *= growth;
+        factors.absorbed[i] *= growth;
     }
     factors.written = match enforce {
         Enforce::Reciprocity => "reciprocity",
         Enforce::Closure => "closure",
     };
-    Ok(moves(&raw, factors, iterations))
+    Ok(moves(&raw, factors, &exact, iterations))
+}
+
+/// Whether a factor's standard error says nothing.
+fn is_exact(value: f64, error: f64) -> bool {
+    error <= EXACT * value
 }
 
 /// Largest departure of a row's sum from 1.
@@ -118,14 +173,16 @@ fn closure(factors: &Factors) -> f64 {
     (0..factors.rows.len()).map(residual).fold(0.0, f64::max)
 }
 
-fn moves(raw: &Factors, now: &Factors, iterations: usize) -> Correction {
+/// `certain`: of the corrected matrix's entries, those that are exact from both sides.
+fn moves(raw: &Factors, now: &Factors, certain: &[bool], iterations: usize) -> Correction {
     let (mut count, mut square, mut largest) = (0usize, 0.0, 0.0f64);
     let (mut with_error, mut square_in_errors, mut largest_in_errors) = (0usize, 0.0, 0.0f64);
+    let (mut exact, mut largest_of_exact) = (0usize, 0.0f64);
     for i in 0..now.nodes() {
         let (old_columns, old_values, old_errors) = raw.row(i);
         let (columns, values, _) = now.row(i);
         let mut k = 0;
-        for (j, value) in columns.iter().zip(values) {
+        for ((j, value), entry) in columns.iter().zip(values).zip(now.start[i]..) {
             // The new pattern holds the old one.
             let old = old_columns.get(k) == Some(j);
             let moved = (value - if old { old_values[k] } else { 0.0 }).abs();
@@ -133,7 +190,11 @@ fn moves(raw: &Factors, now: &Factors, iterations: usize) -> Correction {
             square += moved * moved;
             largest = largest.max(moved);
             if let (true, Some(errors)) = (old, old_errors) {
-                if errors[k] > 0.0 {
+                // The randomisations of a few rays may agree by chance, but not those from both sides.
+                if certain[entry] && old_values[k] > 0.0 {
+                    exact += 1;
+                    largest_of_exact = largest_of_exact.max(moved / old_values[k]);
+                } else if !is_exact(old_values[k], errors[k]) {
                     with_error += 1;
                     square_in_errors += (moved / errors[k]).powi(2);
                     largest_in_errors = largest_in_errors.max(moved / errors[k]);
@@ -150,6 +211,8 @@ fn moves(raw: &Factors, now: &Factors, iterations: usize) -> Correction {
         rms_move: (square / count.max(1) as f64).sqrt(),
         largest_move_in_standard_errors: (with_error > 0).then_some(largest_in_errors),
         rms_move_in_standard_errors: (with_error > 0).then(|| (square_in_errors / with_error as f64).sqrt()),
+        exact_factors: exact,
+        largest_relative_move_of_exact: largest_of_exact,
         largest_move_of_escape: escape.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max),
         iterations,
         closure: closure(now),
@@ -164,16 +227,23 @@ struct Symmetric {
     values: Vec<f64>,
     /// Standard errors, or empty.
     errors: Vec<f64>,
+    /// Variance over value of each entry, in units of the noisiest row's.
+    mobility: Vec<f32>,
 }
 
 impl Symmetric {
     /// Means of both directions' estimates.
-    fn new(raw: &Factors) -> Symmetric {
+    fn new(raw: &Factors, noise: &Noise) -> Symmetric {
         let n = raw.nodes();
-        let weight = weights(raw);
+        let weight = &noise.weights;
         let transposed = transpose(raw);
-        let mut result =
-            Symmetric { start: vec![0], columns: Vec::new(), values: Vec::new(), errors: Vec::new() };
+        let mut result = Symmetric {
+            start: vec![0],
+            columns: Vec::new(),
+            values: Vec::new(),
+            errors: Vec::new(),
+            mobility: Vec::new(),
+        };
         for i in 0..n {
             let (columns, values, errors) = raw.row(i);
             let back = &transposed.1[transposed.0[i]..transposed.0[i + 1]];
@@ -203,59 +273,92 @@ impl Symmetric {
                 } else {
                     ((return_, weight[j]), (there, weight[i]))
                 };
-                let value = if i == j { there.0 } else { (wx * x.0 + wy * y.0) / (wx + wy) };
+                let value = if i == j { x.0 } else { (wx * x.0 + wy * y.0) / (wx + wy) };
                 result.columns.push(j as u32);
                 result.values.push(value);
+                let counts = if i == j { weight[i] } else { wx + wy };
+                let mut variance = value / counts;
                 if errors.is_some() {
-                    let error = if i == j { there.1 } else { (wx * x.1).hypot(wy * y.1) / (wx + wy) };
+                    let close = |a: f64, b: f64, share: f64| (a - b).abs() <= share * a.max(b);
+                    // Errors of pairs are kept in f32.
+                    let same = i == j || close(x.0, y.0, SAME) && close(x.1, y.1, EXACT);
+                    let error = if same {
+                        x.1.max(y.1)
+                    } else if is_exact(x.0, x.1) && is_exact(y.0, y.1) {
+                        // Randomisations of a few rays agree by chance, and the directions do not.
+                        (value - x.0).abs().max((value - y.0).abs())
+                    } else {
+                        (wx * x.1).hypot(wy * y.1) / (wx + wy)
+                    };
                     result.errors.push(error);
+                    variance = variance.min(error.max(EXACT * value).powi(2));
                 }
+                let mobility = if value > 0.0 { variance / value / noise.largest } else { 0.0 };
+                result.mobility.push(mobility as f32);
             }
             result.start.push(result.columns.len());
         }
         result
     }
 
-    /// Row sums of `D G D`, D given by its diagonal.
-    fn sums(&self, d: &[f64]) -> Vec<f64> {
-        self.multiply(d).iter().zip(d).map(|(s, d)| s * d).collect()
+    /// Entry k over what it was, where the multipliers of its row and column sum to `x`.
+    fn growth(&self, k: usize, x: f64) -> f64 {
+        (f64::from(self.mobility[k]) * x).exp()
     }
 
-    fn multiply(&self, x: &[f64]) -> Vec<f64> {
-        (0..x.len())
-            .into_par_iter()
-            .with_min_len(64)
-            .map(|i| {
-                let range = self.start[i]..self.start[i + 1];
-                let pairs = self.columns[range.clone()].iter().zip(&self.values[range]);
-                pairs.map(|(j, g)| g * x[*j as usize]).sum()
-            })
-            .collect()
+    /// Calls `row` with each row and its entries' indices, on all cores.
+    fn by_row<T: Send>(&self, row: impl Fn(usize, Range<usize>) -> T + Sync) -> Vec<T> {
+        let rows = (0..self.start.len() - 1).into_par_iter().with_min_len(64);
+        rows.map(|i| row(i, self.start[i]..self.start[i + 1])).collect()
     }
 }
 
-/// Inverse variance of each row's exchange areas over the exchange area: `1 / (c_i A_i)`.
-fn weights(raw: &Factors) -> Vec<f64> {
-    let n = raw.nodes();
-    let c: Vec<f64> = (0..n)
-        .map(|i| {
-            let (_, values, errors) = raw.row(i);
-            let sum: f64 = values.iter().sum();
-            match errors {
-                Some(errors) if sum > 0.0 => errors.iter().map(|e| e * e).sum::<f64>() / sum,
-                _ => 0.0,
-            }
-        })
-        .collect();
-    // Rows whose randomisations all agree (all rays land on one node) count as exact, but not without bound; rows without factors
-    // as the others.
-    let known: Vec<f64> = c.iter().copied().filter(|c| *c > 0.0).collect();
-    let mean = if known.is_empty() { 1.0 } else { known.iter().sum::<f64>() / known.len() as f64 };
-    let variance = |i: usize| {
-        let empty = raw.start[i] == raw.start[i + 1];
-        if empty || known.is_empty() { mean } else { c[i].max(1e-6 * mean) }
-    };
-    (0..n).map(|i| 1.0 / (variance(i) * raw.areas[i])).collect()
+/// How noisy the rows are, as counts are.
+struct Noise {
+    /// Inverse variance of each row's exchange areas over the exchange area: `1 / (c_i A_i)`.
+    weights: Vec<f64>,
+    /// The largest `c_i A_i`.
+    largest: f64,
+    /// Variance over value of what lies outside, in units of the largest.
+    outside: Vec<f64>,
+}
+
+impl Noise {
+    fn of(raw: &Factors) -> Noise {
+        let n = raw.nodes();
+        let c: Vec<f64> = (0..n)
+            .map(|i| {
+                let (_, values, errors) = raw.row(i);
+                let Some(errors) = errors else { return 0.0 };
+                let noisy = values.iter().zip(errors).filter(|(v, e)| **v > 0.0 && !is_exact(**v, **e));
+                let (sum, squares) =
+                    noisy.fold((0.0, 0.0), |(sum, squares), (v, e)| (sum + v, squares + e * e));
+                if sum > 0.0 { squares / sum } else { 0.0 }
+            })
+            .collect();
+        // Rows whose randomisations all agree (all rays land on one node) count as exact, but not without bound; rows without factors
+        // as the others.
+        let known: Vec<f64> = c.iter().copied().filter(|c| *c > 0.0).collect();
+        let mean = if known.is_empty() { 1.0 } else { known.iter().sum::<f64>() / known.len() as f64 };
+        let variance = |i: usize| {
+            let empty = raw.start[i] == raw.start[i + 1];
+            if empty || known.is_empty() { mean } else { c[i].max(1e-6 * mean) }
+        };
+        let rows: Vec<f64> = (0..n).map(|i| variance(i) * raw.areas[i]).collect();
+        let largest = rows.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+        // What lies outside is counted by rays, however well the factors of its row are known; where it is nothing, it stays so
+        // however far the row's factors must move.
+        let lost = |i: usize| raw.escaped[i] + raw.absorbed[i] > 0.0;
+        let mobility = |i: usize| if lost(i) { c[i].max(mean) * raw.areas[i] / largest } else { 0.0 };
+        let outside = (0..n).map(mobility).collect();
+        Noise { weights: rows.iter().map(|v| 1.0 / v).collect(), largest, outside }
+    }
+}
+
+/// What lies outside: exchange areas with it [m^2] and their mobilities.
+struct Outside {
+    areas: Vec<f64>,
+    mobility: Vec<f64>,
 }
 
 /// Start of each column, and (row, index of the entry) by column, rows in order.
@@ -278,58 +381,88 @@ fn transpose(raw: &Factors) -> (Vec<usize>, Vec<(u32, usize)>) {
     (start, entries)
 }
 
-/// The diagonal of D, and the number of Newton's steps.
-fn scaling(g: &Symmetric, outside: &[f64], raw: &Factors) -> Result<(Vec<f64>, usize)> {
-    let n = outside.len();
-    let areas = &raw.areas;
-    let mut x = vec![0.0; n];
-    let state = |x: &[f64]| {
-        let d: Vec<f64> = x.iter().map(|x| x.exp()).collect();
-        let inner = g.sums(&d);
-        // Half of the inner sums, all of the outer ones: the function that is minimised.
-        let value: f64 = (0..n).map(|i| 0.5 * inner[i] + outside[i] * d[i] - areas[i] * x[i]).sum();
-        let sums: Vec<f64> = (0..n).map(|i| inner[i] + outside[i] * d[i]).collect();
-        (d, sums, value)
-    };
-    let off = |sums: &[f64]| {
-        let relative = |i: usize| (sums[i] / areas[i] - 1.0).abs();
-        (0..n).map(relative).fold(0.0, f64::max)
-    };
-    let (mut d, mut sums, mut value) = state(&x);
-    for step in 0..MOST_STEPS {
-        let residual = off(&sums);
-        if residual <= CLOSURE_TOLERANCE {
-            return Ok((d, step));
+/// A row for given multipliers.
+#[derive(Clone, Copy)]
+struct RowState {
+    /// Sum of the row, with what lies outside [m^2].
+    sum: f64,
+    /// The same, each entry times its mobility: the sum's derivative.
+    stiffness: f64,
+    /// The row's part of the function that is minimised.
+    value: f64,
+}
+
+fn state(g: &Symmetric, outside: &Outside, areas: &[f64], x: &[f64]) -> Vec<RowState> {
+    // (e^(w x) - 1) / w, which is x for none.
+    let raised = |w: f64, x: f64| if w > 0.0 { (w * x).exp_m1() / w } else { x };
+    g.by_row(|i, entries| {
+        let (o, v) = (outside.areas[i], outside.mobility[i]);
+        let beyond = o * (v * x[i]).exp();
+        let mut row =
+            RowState { sum: beyond, stiffness: v * beyond, value: o * raised(v, x[i]) - areas[i] * x[i] };
+        for k in entries {
+            let (w, both) = (f64::from(g.mobility[k]), x[i] + x[g.columns[k] as usize]);
+            let raised = raised(w, both);
+            let now = g.values[k] * (1.0 + w * raised);
+            row.sum += now;
+            row.stiffness += w * now;
+            row.value += 0.5 * g.values[k] * raised;
         }
-        if !residual.is_finite() || sums.contains(&0.0) {
+        row
+    })
+}
+
+/// The x, and the number of Newton's steps.
+fn multipliers(g: &Symmetric, outside: &Outside, raw: &Factors) -> Result<(Vec<f64>, usize)> {
+    let n = raw.nodes();
+    let areas = &raw.areas;
+    let off = |rows: &[RowState]| {
+        let relative = |i: usize| (rows[i].sum / areas[i] - 1.0).abs();
+        (0..n).map(relative).fold(0.0, |most, r| if r > most || r.is_nan() { r } else { most })
+    };
+    let value = |rows: &[RowState]| rows.iter().map(|r| r.value).sum::<f64>();
+    let mut x = vec![0.0; n];
+    let mut rows = state(g, outside, areas, &x);
+    for step in 0..MOST_STEPS {
+        let residual = off(&rows);
+        if residual <= CLOSURE_TOLERANCE {
+            return Ok((x, step));
+        }
+        if !residual.is_finite() || rows.iter().any(|r| r.sum == 0.0) {
             break;
         }
-        let gradient: Vec<f64> = (0..n).map(|i| areas[i] - sums[i]).collect();
-        let mut s = newton_step(g, &d, &sums, &gradient, residual.min(0.1));
-        // e^x is no straight line: no step beyond a factor of e^2.
-        let longest = s.iter().fold(0.0f64, |m, v| m.max(v.abs()));
-        if longest > 2.0 {
-            s.iter_mut().for_each(|v| *v *= 2.0 / longest);
+        let gradient: Vec<f64> = (0..n).map(|i| areas[i] - rows[i].sum).collect();
+        let mut s = newton_step(g, &x, &rows, &gradient, residual.min(0.1));
+        let most = |a: f64, b: f64| a.max(b);
+        let growths = g.by_row(|i, entries| {
+            let own = outside.mobility[i] * s[i];
+            entries.map(|k| f64::from(g.mobility[k]) * (s[i] + s[g.columns[k] as usize])).fold(own, most)
+        });
+        let longest = growths.into_iter().fold(0.0, most);
+        if longest > MOST_GROWTH {
+            s.iter_mut().for_each(|v| *v *= MOST_GROWTH / longest);
         }
         let slope: f64 = s.iter().zip(&gradient).map(|(s, r)| -s * r).sum();
+        let before = value(&rows);
         let mut length = 1.0;
         loop {
             let trial: Vec<f64> = x.iter().zip(&s).map(|(x, s)| x + length * s).collect();
-            let (trial_d, trial_sums, trial_value) = state(&trial);
+            let trial_rows = state(g, outside, areas, &trial);
             // Close to the minimum the function is all rounding: then the residual decides.
-            let lower = trial_value <= value + 1e-4 * length * slope || off(&trial_sums) < 0.5 * residual;
+            let lower =
+                value(&trial_rows) <= before + 1e-4 * length * slope || off(&trial_rows) < 0.5 * residual;
             if lower || length < 1e-3 {
-                (x, d, sums, value) = (trial, trial_d, trial_sums, trial_value);
+                (x, rows) = (trial, trial_rows);
                 break;
             }
             length *= 0.5;
         }
     }
-    if off(&sums) <= CLOSURE_TOLERANCE {
-        return Ok((d, MOST_STEPS));
+    if off(&rows) <= CLOSURE_TOLERANCE {
+        return Ok((x, MOST_STEPS));
     }
     let mut worst: Vec<usize> = (0..n).collect();
-    let departure = |i: &usize| (sums[*i] / areas[*i] - 1.0).abs();
+    let departure = |i: &usize| (rows[*i].sum / areas[*i] - 1.0).abs();
     worst.sort_by(|a, b| departure(b).total_cmp(&departure(a)));
     let named: Vec<String> = worst.iter().take(3).map(|i| raw.name(*i)).collect();
     Err(Error::scene(
@@ -343,18 +476,32 @@ fn scaling(g: &Symmetric, outside: &[f64], raw: &Factors) -> Result<(Vec<f64>, u
     ))
 }
 
-/// Solves `(diag(sums) + D G D) s = r` by conjugate gradients, preconditioned by the diagonal.
-fn newton_step(g: &Symmetric, d: &[f64], sums: &[f64], r: &[f64], tolerance: f64) -> Vec<f64> {
+/// Solves `H s = r` by conjugate gradients, preconditioned by the diagonal; H is the second derivative at x, each entry times
+/// its mobility and the rows' sums of these on the diagonal besides.
+fn newton_step(g: &Symmetric, x: &[f64], rows: &[RowState], r: &[f64], tolerance: f64) -> Vec<f64> {
     let n = r.len();
+    let stiffness: Vec<f64> = g
+        .by_row(|i, entries| {
+            let at = |k: usize| {
+                let both = x[i] + x[g.columns[k] as usize];
+                f64::from(g.mobility[k]) * g.values[k] * g.growth(k, both)
+            };
+            entries.map(at).collect::<Vec<f64>>()
+        })
+        .concat();
     let apply = |p: &[f64]| -> Vec<f64> {
-        let scaled: Vec<f64> = p.iter().zip(d).map(|(p, d)| p * d).collect();
-        let product = g.multiply(&scaled);
-        (0..n).map(|i| sums[i] * p[i] + d[i] * product[i]).collect()
+        g.by_row(|i, entries| {
+            let product: f64 = entries.map(|k| stiffness[k] * p[g.columns[k] as usize]).sum();
+            rows[i].stiffness * p[i] + product
+        })
     };
+    // A row of which nothing can move has no step.
+    let inverse: Vec<f64> =
+        rows.iter().map(|row| if row.stiffness > 0.0 { 1.0 / row.stiffness } else { 0.0 }).collect();
     let dot = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
     let mut s = vec![0.0; n];
     let mut rest = r.to_vec();
-    let mut z: Vec<f64> = rest.iter().zip(sums).map(|(r, h)| r / h).collect();
+    let mut z: Vec<f64> = rest.iter().zip(&inverse).map(|(r, h)| r * h).collect();
     let mut p = z.clone();
     let mut rz = dot(&rest, &z);
     let target = tolerance * tolerance * rz;
@@ -368,7 +515,7 @@ fn newton_step(g: &Symmetric, d: &[f64], sums: &[f64], r: &[f64], tolerance: f64
         for i in 0..n {
             s[i] += alpha * p[i];
             rest[i] -= alpha * q[i];
-            z[i] = rest[i] / sums[i];
+            z[i] = rest[i] * inverse[i];
         }
         let next = dot(&rest, &z);
         let beta = next / rz;

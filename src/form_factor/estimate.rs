@@ -2,7 +2,7 @@
 
 use super::found::{Estimates, Found};
 use super::pairs::{self, FewPairs, PairFactors, PairWork, Surfaces};
-use super::{AtSpecular, Casting, ExchangeMatrix, ObjectTable, analytic, cast};
+use super::{AtSpecular, Casting, ExchangeMatrix, ObjectTable, analytic, cast_rows};
 use crate::mesh::Mesh;
 use crate::scene::Scene;
 use crate::visibility::Visibility;
@@ -55,6 +55,17 @@ pub fn by_pairs(elements: usize, scene: &Scene, request: &Request) -> bool {
 
 /// Finds the factors between the elements of a mesh.
 pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Found {
+    estimate_rows(visibility, mesh, request, None)
+}
+
+/// As [`estimate`], for those elements alone that `only` names: their rows are what they are among all. An error may be asked of
+/// all rows alone.
+pub fn estimate_rows(
+    visibility: &Visibility,
+    mesh: &Mesh,
+    request: &Request,
+    only: Option<&[bool]>,
+) -> Found {
     let scene = visibility.scene();
     let rows = |rays: u32| {
         let casting = Casting {
@@ -66,12 +77,12 @@ pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Foun
             emitters: None,
             progress: request.progress,
         };
-        cast(visibility, mesh, &casting).0
+        cast_rows(visibility, mesh, &casting, only).0
     };
     if !by_pairs(mesh.len(), scene, request) {
         let (matrix, achieved, rays) = by_rows(visibility, mesh, request, rows);
         let alone = request.error.is_some() || request.by_object;
-        let lamps = if alone { None } else { lamps(visibility, mesh, request) };
+        let lamps = if alone { None } else { lamps(visibility, mesh, request, only) };
         let rays = rays + lamps.as_ref().map_or(0, |l| l.rays);
         return Found { estimates: Estimates::Rows(matrix, lamps), achieved, rays, blocked: Vec::new() };
     }
@@ -88,7 +99,8 @@ pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Foun
         error: asked,
         floor: request.floor,
         tolerance: if few { analytic::EXACT } else { QUICK.max(0.01 * request.error.unwrap_or(0.0)) },
-        cells: (!few).then_some(asked.unwrap_or(pairs::CELL_ERROR)),
+        // The insides of bodies are seen through openings, which few points find.
+        cells: (!few || mesh.has_backs()).then_some(asked.unwrap_or(pairs::CELL_ERROR)),
         unoccluded: false,
         seed: request.seed,
         progress: &|_| (),
@@ -99,7 +111,7 @@ pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Foun
     }
     let mut rays = rows.rays;
     loop {
-        let found = PairFactors::new(visibility, mesh, &work);
+        let found = PairFactors::of_rows(visibility, mesh, &work, only);
         rays += found.rays;
         let achieved = request.error.map(|_| match request.by_object {
             true => {
@@ -119,7 +131,7 @@ pub fn estimate(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Foun
 
 /// The factors of emitters, pair by pair: a small lamp takes few of a hemisphere's rays, and all light depends on it.
 /// None where there are no emitters, or so many that they would take much longer than the rays.
-fn lamps(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Option<FewPairs> {
+fn lamps(visibility: &Visibility, mesh: &Mesh, request: &Request, only: Option<&[bool]>) -> Option<FewPairs> {
     let scene = visibility.scene();
     let emits = |e: &u32| {
         let (face, front, _) = mesh.place(*e);
@@ -142,7 +154,7 @@ fn lamps(visibility: &Visibility, mesh: &Mesh, request: &Request) -> Option<FewP
         seed: request.seed,
         progress: &|_| (),
     };
-    Some(FewPairs::new(visibility, mesh, elements, &work))
+    Some(FewPairs::new(visibility, mesh, (elements, only), &work))
 }
 
 /// Exact factors between the elements of a mesh, as if nothing were between any two.

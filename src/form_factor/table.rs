@@ -1,6 +1,7 @@
 //! Form factors between objects, with standard errors.
 
 use super::ExchangeMatrix;
+use super::analytic::Polygon;
 use super::export::sides;
 use super::pairs::PairFactors;
 use crate::color;
@@ -18,7 +19,8 @@ pub struct ObjectTable {
     /// `[a][b]`: factor from a to b.
     pub form_factors: Vec<Vec<f64>>,
     /// Standard error of each factor, from the spread of independent randomisations; NaN (null in
-    /// JSON) where a single randomisation gives none.
+    /// JSON) where a single randomisation gives none. Where none of the rays from a met b, it is what one ray would have
+    /// counted, and 0 where no face of b can lie before a face of a.
     pub standard_errors: Vec<Vec<f64>>,
     /// Share of each object's rays that left the scene.
     pub escaped: Vec<f64>,
@@ -57,11 +59,27 @@ impl ObjectTable {
         let statistic = |f: &dyn Fn(&[f64]) -> f64| -> Vec<Vec<f64>> {
             estimates.iter().map(|row| row.iter().map(|e| f(e)).collect()).collect()
         };
+        let mut standard_errors = statistic(&|e| mean_error(e).1);
+        if matrix.rays_per_row > 0 {
+            let mut one_ray = vec![0.0f64; n];
+            for e in 0..mesh.len() {
+                let share = mesh.area(e as u32) / areas[object(e)];
+                one_ray[object(e)] = one_ray[object(e)].max(share / f64::from(matrix.rays_per_row));
+            }
+            let faces = Faces::new(scene, mesh, &sides.of_element, n);
+            for (a, row) in standard_errors.iter_mut().enumerate() {
+                for (b, error) in row.iter_mut().enumerate() {
+                    if *error == 0.0 && estimates[a][b].iter().all(|e| *e == 0.0) && faces.may_meet(a, b) {
+                        *error = one_ray[a];
+                    }
+                }
+            }
+        }
         ObjectTable {
             objects: sides.names,
             areas,
             form_factors: statistic(&|e| mean_error(e).0),
-            standard_errors: statistic(&|e| mean_error(e).1),
+            standard_errors,
             escaped,
             rays: matrix.rays_per_row,
             seconds,
@@ -88,6 +106,10 @@ impl ObjectTable {
                 let exchange = [area[a] * f[a][b], area[b] * f[b][a]];
                 let mean = 0.5 * (exchange[0] + exchange[1]);
                 if mean == 0.0 {
+                    // Neither met the other: what the better one says.
+                    let e = &mut table.standard_errors;
+                    let error = (area[a] * e[a][b]).min(area[b] * e[b][a]);
+                    (e[a][b], e[b][a]) = (error / area[a], error / area[b]);
                     continue;
                 }
                 let variance = |k: usize, f: f64| area[k] * mean * (1.0 - f).max(0.0) / elements[k];
@@ -111,17 +133,18 @@ impl ObjectTable {
         rows: Option<&ExchangeMatrix>,
         seconds: f64,
     ) -> ObjectTable {
-        let n = scene.objects.len();
+        let sides = sides(scene, mesh);
+        let n = sides.names.len();
         let (mut areas, mut escaped) = (vec![0.0; n], vec![0.0; n]);
         for e in 0..mesh.len() {
-            let a = scene.faces[mesh.place(e as u32).0 as usize].object as usize;
+            let a = sides.of_element[e] as usize;
             areas[a] += mesh.area(e as u32);
             escaped[a] += mesh.area(e as u32) * pairs.rest(e, rows.and_then(|r| r.summary.get(e))).escaped.x;
         }
         escaped.iter_mut().zip(&areas).for_each(|(e, a)| *e /= a);
         let between = |a: usize| (0..n).map(move |b| pairs.between_objects(a, b));
         ObjectTable {
-            objects: scene.objects.clone(),
+            objects: sides.names,
             form_factors: (0..n).map(|a| between(a).map(|(g, _)| g / areas[a]).collect()).collect(),
             standard_errors: (0..n).map(|a| between(a).map(|(_, e)| e / areas[a]).collect()).collect(),
             areas,
@@ -131,6 +154,49 @@ impl ObjectTable {
             rows: None,
             written: "raw",
         }
+    }
+}
+
+/// The faces of each object's side that takes part.
+struct Faces {
+    of: Vec<Vec<Polygon>>,
+    /// Light from any of them may come to any other by specular surfaces.
+    specular: bool,
+    eps: f64,
+}
+
+/// Pairs of faces beyond which two objects are taken to face each other.
+const MOST_PAIRS: usize = 1 << 20;
+/// What counts as in one plane, as a share of the scene's radius.
+const IN_PLANE: f64 = 1e-9;
+
+impl Faces {
+    fn new(scene: &Scene, mesh: &Mesh, of_element: &[u32], n: usize) -> Faces {
+        let mut of = vec![Vec::new(); n];
+        let mut last = None;
+        for (e, object) in of_element.iter().enumerate() {
+            // The elements of one side of a face come in a row.
+            let side = mesh.side(e as u32);
+            if last.replace(side) != Some(side) {
+                let (face, front, _) = mesh.place(e as u32);
+                let polygon = Polygon::of_face(scene, &scene.faces[face as usize]);
+                of[*object as usize].push(if front { polygon } else { polygon.turned() });
+            }
+        }
+        let specular = scene.faces.iter().any(|f| scene.material(f).is_specular());
+        Faces { of, specular, eps: IN_PLANE * scene.radius }
+    }
+
+    /// Whether a ray from a may meet b, as far as the planes of their faces tell.
+    fn may_meet(&self, a: usize, b: usize) -> bool {
+        let (a, b) = (&self.of[a], &self.of[b]);
+        if a.is_empty() || b.is_empty() {
+            return false;
+        }
+        let before = |p: &Polygon, q: &Polygon| p.reaches_before(q.corners()[0], q.normal, self.eps);
+        self.specular
+            || a.len() * b.len() > MOST_PAIRS
+            || a.iter().any(|p| b.iter().any(|q| before(p, q) && before(q, p)))
     }
 }
 

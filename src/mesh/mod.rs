@@ -274,6 +274,11 @@ impl Mesh {
         }
     }
 
+    /// Whether any element lies on the back of a face.
+    pub fn has_backs(&self) -> bool {
+        self.first.iter().skip(1).step_by(2).any(|first| *first != NONE)
+    }
+
     /// Area of an element [m^2].
     #[inline]
     pub fn area(&self, element: u32) -> f64 {

@@ -145,11 +145,8 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
         let back_to_back = |a: u32, b: u32| {
             let [f, g] = [a, b].map(|k| &faces[k as usize]);
             let [one, other] = [f, g].map(|f| &materials[f.material as usize]);
-            f.normal.dot(g.normal) < 0.0
-                && !joins(a, b)
-                && !one.bends()
-                && !other.bends()
-                && !((f.object, f.material) == (g.object, g.material) && one.is_alike_on_both_sides())
+            let twice = (f.object, f.material) == (g.object, g.material) && one.is_alike_on_both_sides();
+            f.normal.dot(g.normal) < 0.0 && !(joins(a, b) || one.bends() || other.bends() || twice)
         };
         let mut changes: FxHashMap<u32, Change> = FxHashMap::default();
         for (i, a) in flats.iter().enumerate() {

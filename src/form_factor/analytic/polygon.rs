@@ -49,7 +49,7 @@ impl Polygon {
         let (face, front, cell) = mesh.place(element);
         let face_ref = &scene.faces[face as usize];
         let grid = mesh.grid(face);
-        let mut polygon = if grid.len() == 1 {
+        let polygon = if grid.len() == 1 {
             Polygon::of_face(scene, face_ref)
         } else {
             let frame = scene.face_frame(face_ref);
@@ -59,11 +59,14 @@ impl Polygon {
                 [at(o), at(o + a), at(if grid.is_triangle() { o + b } else { o + a + b }), at(o + b)];
             Polygon::new(&corners[..if grid.is_triangle() { 3 } else { 4 }], face_ref.normal)
         };
-        if !front {
-            polygon.corners[..polygon.len].reverse();
-            polygon.normal = -polygon.normal;
-        }
-        polygon
+        if front { polygon } else { polygon.turned() }
+    }
+
+    /// The same seen from behind.
+    pub fn turned(mut self) -> Polygon {
+        self.corners[..self.len].reverse();
+        self.normal = -self.normal;
+        self
     }
 
     /// The corners.

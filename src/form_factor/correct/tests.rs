@@ -126,3 +126,100 @@ fn what_cannot_close_is_named_and_left_alone() {
     let mut f = dense(&[1.0, 1.0, 1.0], &[&[0.0, 1.0, 0.0], &[1.0, 0.0, 0.0], &[0.0; 3]], &[0.0; 3]);
     assert!(correct(&mut f, Enforce::Closure).unwrap_err().to_string().contains("s2"));
 }
+
+/// Of a closed matrix with a lamp, whose factors are exact, and estimates with noise of 10 % that say so; the first two
+/// nodes are the lamp's. `stray` is what the lamp's own factors miss.
+fn with_a_lamp(n: usize, stray: f64) -> Factors {
+    let areas: Vec<f64> = (0..n as u32).map(|i| 0.1 + random(i, 1)).collect();
+    let lamp = |i: usize, j: usize| i < 2 || j < 2;
+    let rows: Vec<Vec<f64>> = exact(&areas)
+        .iter()
+        .enumerate()
+        .map(|(i, row)| {
+            let noise = |j: usize| match lamp(i, j) {
+                true => 1.0 + stray,
+                false => 0.9 + 0.2 * random(i as u32, 100 + j as u32),
+            };
+            row.iter().enumerate().map(|(j, f)| f * noise(j)).collect()
+        })
+        .collect();
+    let slices: Vec<&[f64]> = rows.iter().map(Vec::as_slice).collect();
+    let mut factors = dense(&areas, &slices, &vec![0.0; n]);
+    for (i, row) in rows.iter().enumerate() {
+        factors.errors.extend(row.iter().enumerate().map(|(j, f)| if lamp(i, j) { 0.0 } else { 0.06 * f }));
+    }
+    factors
+}
+
+#[test]
+fn exact_factors_stay_where_estimates_can_close_the_rows() {
+    let n = 24;
+    let raw = with_a_lamp(n, 0.0);
+    let mut f = raw.clone();
+    let report = correct(&mut f, Enforce::Closure).unwrap();
+    assert_obeys(&f, Enforce::Closure);
+    assert!(report.closure_before > 1e-3 && report.largest_move > 1e-4, "{report:?}");
+    for (i, j) in (0..n).flat_map(|i| (0..n).map(move |j| (i, j))).filter(|(i, j)| *i < 2 || *j < 2) {
+        let (before, after) = (at(&raw, i, j), at(&f, i, j));
+        assert!((after - before).abs() <= 1e-9 * before, "{i} {j}: {before} {after}");
+    }
+    assert_eq!(report.exact_factors, 2 * n + 2 * (n - 2));
+    assert!(report.largest_relative_move_of_exact < 1e-9, "{report:?}");
+    assert!(report.rms_move_in_standard_errors < Some(3.0), "{report:?}");
+    assert!(report.largest_move_in_standard_errors < Some(10.0), "{report:?}");
+    assert!(!report.line().contains("without standard errors"), "{}", report.line());
+}
+
+/// A lamp's rows, of exact factors alone, that do not close: they move by what they miss, and their errors say so.
+#[test]
+fn exact_factors_move_where_nothing_else_can() {
+    let n = 24;
+    let raw = with_a_lamp(n, 1e-3);
+    let mut f = raw.clone();
+    let report = correct(&mut f, Enforce::Closure).unwrap();
+    assert_obeys(&f, Enforce::Closure);
+    for (k, entry) in (f.start[0]..f.start[1]).enumerate() {
+        let (before, after, error) = (at(&raw, 0, k), f.values[entry], f.errors[entry]);
+        let moved = (after - before).abs();
+        assert!(moved < 3e-2 * before && error >= (1.0 - 1e-9) * moved, "{k}: {before} {after} +- {error}");
+    }
+    assert!(report.largest_relative_move_of_exact > 1e-4, "{report:?}");
+    assert!(report.line().contains("without standard errors"), "{}", report.line());
+    assert!(report.rms_move_in_standard_errors < Some(3.0), "{report:?}");
+    // No error is said to be smaller than before.
+    for (k, error) in raw.errors.iter().enumerate() {
+        let (i, j) = (k / n, k % n);
+        assert!(i.min(j) > 1 || f.errors[k] >= *error, "{i} {j}");
+    }
+}
+
+/// Rows of integrals that are a thousand times as good as those beside them, and fall as little short of their sums: their multipliers are large.
+#[test]
+fn precise_rows_close_beside_noisy_ones() {
+    let mut raw = with_a_lamp(24, -1e-4);
+    for (k, error) in raw.errors.iter_mut().enumerate().filter(|(_, e)| **e == 0.0) {
+        *error = if k % 3 == 0 { 1e-5 * raw.values[k] } else { 0.0 };
+    }
+    let report = correct(&mut raw, Enforce::Closure).unwrap();
+    assert_obeys(&raw, Enforce::Closure);
+    assert!(report.largest_relative_move_of_exact < 1e-2, "{report:?}");
+}
+
+/// Pairs are one estimate for both directions, and no better for being written twice.
+#[test]
+fn one_estimate_for_both_directions_keeps_its_error() {
+    let mut f = dense(&[1.0, 2.0], &[&[0.0, 0.5], &[0.25, 0.0]], &[0.5, 0.75]);
+    f.errors = vec![0.01, 0.005];
+    correct(&mut f, Enforce::Reciprocity).unwrap();
+    assert_eq!(f.errors, [0.01, 0.005]);
+    // Randomisations that agree by chance in both directions are not exact.
+    let mut f = dense(&[1.0, 1.0], &[&[0.0, 0.5], &[0.52, 0.0]], &[0.5, 0.48]);
+    f.errors = vec![0.0, 0.0];
+    correct(&mut f, Enforce::Reciprocity).unwrap();
+    assert!((f.errors[0] - 0.01).abs() < 1e-12, "{:?}", f.errors);
+    // Two that differ are better together.
+    let mut f = dense(&[1.0, 1.0], &[&[0.0, 0.5], &[0.51, 0.0]], &[0.5, 0.49]);
+    f.errors = vec![0.01, 0.01];
+    correct(&mut f, Enforce::Reciprocity).unwrap();
+    assert!((f.errors[0] - 0.01 / 2f64.sqrt()).abs() < 1e-4, "{:?}", f.errors);
+}

@@ -6,7 +6,7 @@ use std::io::{Result as IoResult, Seek, Write};
 
 /// What `scipy.sparse.load_npz` reads: CSR, f64, sorted columns, \[rows, nodes\]. Beside it, for `numpy.load`:
 /// `standard_error` of the stored entries in their order (where there are), `area` \[nodes\], `escaped` and
-/// `absorbed` \[rows\].
+/// `absorbed` \[rows\], `objects` (names of the objects' sides) and `object` \[nodes\], an index into these.
 ///
 /// # Errors
 /// Those of the file.
@@ -27,6 +27,8 @@ pub fn write_npz(factors: &Factors, file: &mut (impl Write + Seek)) -> IoResult<
     array(&mut npz, "area", factors.areas.iter().copied())?;
     array(&mut npz, "escaped", factors.escaped.iter().copied())?;
     array(&mut npz, "absorbed", factors.absorbed.iter().copied())?;
+    npz.texts("objects", &factors.names)?;
+    array(&mut npz, "object", factors.object.iter().map(|k| *k as i32))?;
     if !factors.errors.is_empty() {
         array(&mut npz, "standard_error", factors.errors.iter().copied())?;
     }

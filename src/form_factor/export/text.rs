@@ -122,28 +122,85 @@ fn table(factors: &Factors) -> ObjectTable {
 /// View3D's text format (Walton, NISTIR 6925; versions 3.x, format 0), for all rows: a header line `program version format
 /// enclosure emittances surfaces` (the last four are numbers; no emittances are included in the factors), a line of areas,
 /// a line of factors for each surface, and a line of emissivities. Surfaces are elements or objects in order; emissivity is 1 less the
-/// material's diffuse albedo.
+/// material's diffuse albedo. Areas and factors have nine significant digits, with an exponent where they are small, as C's `%.9g`
+/// writes and View3D's `fscanf` reads them.
 ///
 /// The enclosure flag says that View3D was to make rows sum to 1; it is set where closure was enforced.
 pub fn to_view3d(factors: &Factors) -> Vec<u8> {
     let n = factors.nodes();
     let enclosed = u8::from(factors.written == "closure");
     let mut text = format!("twopass {} 0 {enclosed} 0 {n}\n", env!("CARGO_PKG_VERSION"));
-    let mut line = |values: &mut dyn Iterator<Item = f64>, digits: usize| {
+    let mut line = |values: &mut dyn Iterator<Item = f64>, write: &dyn Fn(&mut String, f64)| {
         for (k, value) in values.enumerate() {
-            // Writing to a string does not fail.
-            let _ = write!(text, "{}{value:.digits$}", if k > 0 { " " } else { "" });
+            if k > 0 {
+                text.push(' ');
+            }
+            write(&mut text, value);
         }
         text.push('\n');
     };
-    line(&mut factors.areas.iter().copied(), 9);
+    line(&mut factors.areas.iter().copied(), &general);
     let mut dense = vec![0.0; n];
     for row in 0..factors.rows.len() {
         let (columns, values, _) = factors.row(row);
         columns.iter().zip(values).for_each(|(j, v)| dense[*j as usize] = *v);
-        line(&mut dense.iter().copied(), 9);
+        line(&mut dense.iter().copied(), &general);
         columns.iter().for_each(|j| dense[*j as usize] = 0.0);
     }
-    line(&mut factors.emissivity.iter().copied(), 3);
+    line(&mut factors.emissivity.iter().copied(), &|text, value| {
+        // Writing to a string does not fail.
+        let _ = write!(text, "{value:.3}");
+    });
     text.into_bytes()
+}
+
+/// C's `%.9g`.
+fn general(text: &mut String, value: f64) {
+    const DIGITS: usize = 9;
+    if value == 0.0 {
+        text.push('0');
+        return;
+    }
+    // Rounded first: that may carry into another digit.
+    let scientific = format!("{value:.*e}", DIGITS - 1);
+    let (mantissa, exponent) = scientific.split_once('e').unwrap_or((&scientific, "0"));
+    let exponent: i32 = exponent.parse().unwrap_or(0);
+    let trimmed = |number: &str| match number.contains('.') {
+        true => number.trim_end_matches('0').trim_end_matches('.').to_string(),
+        false => number.to_string(),
+    };
+    let _ = if (-4..DIGITS as i32).contains(&exponent) {
+        let decimals = (DIGITS as i32 - 1 - exponent) as usize;
+        write!(text, "{}", trimmed(&format!("{value:.decimals$}")))
+    } else {
+        let sign = if exponent < 0 { '-' } else { '+' };
+        write!(text, "{}e{sign}{:02}", trimmed(mantissa), exponent.abs())
+    };
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_as_c_writes_them() {
+        let cases = [
+            (0.0, "0"),
+            (1.0, "1"),
+            (0.25, "0.25"),
+            (1.0 / 3.0, "0.333333333"),
+            (0.9999999999, "1"),
+            (1e-4, "0.0001"),
+            (0.00001234567891234, "1.23456789e-05"),
+            (6.25e-14, "6.25e-14"),
+            (123456789.4, "123456789"),
+            (1.5e12, "1.5e+12"),
+            (1e-120, "1e-120"),
+        ];
+        for (value, expected) in cases {
+            let mut text = String::new();
+            general(&mut text, value);
+            assert_eq!(text, expected);
+        }
+    }
 }

@@ -153,6 +153,14 @@ impl Body {
         bodies
     }
 
+    /// The surfaces of a scene as bodies each, the largest first.
+    pub fn singles(surfaces: &Surfaces) -> Vec<Body> {
+        let numbered = surfaces.polygons.iter().enumerate();
+        let mut bodies: Vec<Body> = numbered.map(|(f, p)| Body::single(f, p, surfaces.eps)).collect();
+        bodies.sort_by(|a, b| b.extent().total_cmp(&a.extent()));
+        bodies
+    }
+
     /// Largest distance of two of its corners, squared.
     fn extent(&self) -> f64 {
         let all = self.corners.iter();

@@ -22,14 +22,20 @@ pub struct FewPairs {
 }
 
 impl FewPairs {
-    /// Finds the pairs of `elements`, which are in order, with all.
-    pub fn new(visibility: &Visibility, mesh: &Mesh, elements: Vec<u32>, work: &PairWork) -> FewPairs {
+    /// Finds the pairs of `elements`, which are in order, with all; of those, where `only` names elements, the pairs that have one of
+    /// them.
+    pub fn new(
+        visibility: &Visibility,
+        mesh: &Mesh,
+        (elements, only): (Vec<u32>, Option<&[bool]>),
+        work: &PairWork,
+    ) -> FewPairs {
         let shared = Shared::new(visibility, visibility.scene(), mesh, work);
         let n = mesh.len();
         let found: Vec<rows::Row> = elements
             .par_iter()
             .with_max_len(1)
-            .map_init(rows::Scratch::default, |scratch, i| shared.row(scratch, *i as usize, 0..n))
+            .map_init(rows::Scratch::default, |scratch, i| shared.row(scratch, *i as usize, 0..n, only))
             .collect();
         let mut few = FewPairs { elements, n, exchange: Vec::new(), counts: PairCounts::default(), rays: 0 };
         for row in found {

@@ -3,7 +3,7 @@
 //! Three things are certain without sampling: elements that face away from each other or lie in one plane
 //! have no factor; where a plane parts every body from both elements, their factor is the
 //! unoccluded one; where one convex body cuts every segment, it is zero. Faces that continue each other
-//! count as one, and faces that enclose a convex body as that body.
+//! count as one, and faces that enclose a convex body as that body, unless elements lie on its inside.
 //!
 //! Where few bodies lie between two of many elements, `cells` integrates what one element sees of the other. For other
 //! pairs points are spread over one element, and what each sees of the other element is weighted by the kernel:
@@ -26,6 +26,7 @@ mod shadow;
 mod shaft;
 
 use super::analytic::{EXACT, Polygon};
+use super::export::sides;
 use super::{ExchangeMatrix, RowSummary};
 use crate::color::Rgb;
 use crate::mesh::Mesh;
@@ -123,6 +124,8 @@ pub struct PairFactors {
     object_count: usize,
     /// Relative error that was asked of each factor, and the floor that it was asked above.
     asked: Option<(f64, f64)>,
+    /// Elements whose rows were found; none: all.
+    only: Option<Vec<bool>>,
 }
 
 /// Factors whose standard error is larger than asked.
@@ -145,7 +148,9 @@ struct Shared<'a, 's> {
     work: &'a PairWork<'a>,
     elements: Vec<Element>,
     surfaces: Vec<Bounded>,
-    /// What may come between two surfaces, by pair.
+    /// Number of the surfaces' sides that may have elements: fronts, then, where any back has elements, backs.
+    sides: usize,
+    /// What may come between two sides of surfaces, by pair.
     between: Vec<Between>,
     bodies: Vec<Body>,
     eps: f64,
@@ -166,8 +171,9 @@ struct Element {
     polygon: Polygon,
     /// The parts that no body stands on; none: the whole.
     open: Option<Vec<Polygon>>,
-    /// The surface that it is part of.
+    /// The surface that it is part of, and the side of it.
     surface: u32,
+    side: u32,
     object: u32,
     area: f64,
 }
@@ -175,6 +181,16 @@ struct Element {
 impl PairFactors {
     /// Factors between all elements of a mesh.
     pub fn new(visibility: &Visibility, mesh: &Mesh, work: &PairWork) -> PairFactors {
+        PairFactors::of_rows(visibility, mesh, work, None)
+    }
+
+    /// The same for the rows of those elements alone that `only` names; other factors are not to be read.
+    pub fn of_rows(
+        visibility: &Visibility,
+        mesh: &Mesh,
+        work: &PairWork,
+        only: Option<&[bool]>,
+    ) -> PairFactors {
         let scene = visibility.scene();
         let shared = Shared::new(visibility, scene, mesh, work);
         let n = mesh.len();
@@ -183,12 +199,12 @@ impl PairFactors {
             // Elements at frames and edges take a hundred times as long as others, and lie side by side.
             .with_max_len(1)
             .map_init(rows::Scratch::default, |scratch, i| {
-                let row = shared.row(scratch, i, i + 1..n);
+                let row = shared.row(scratch, i, i + 1..n, only);
                 (work.progress)(1);
                 row
             })
             .collect();
-        let m = scene.objects.len();
+        let m = shared.objects;
         let mut all = PairFactors {
             n,
             areas: (0..n as u32).map(|e| mesh.area(e)).collect(),
@@ -199,6 +215,7 @@ impl PairFactors {
             objects: vec![(0.0, 0.0); m * m],
             object_count: m,
             asked: work.error.map(|error| (error, work.floor)),
+            only: only.map(<[bool]>::to_vec),
         };
         for (i, row) in rows.into_iter().enumerate() {
             all.exchange.extend_from_slice(&row.exchange);
@@ -276,14 +293,15 @@ impl PairFactors {
         found
     }
 
-    /// Departure of row i from closure: factors and the rest that hemisphere rays found sum to 1.
+    /// Largest departure of a row from closure: factors and the rest that hemisphere rays found sum to 1.
     pub fn closure_residual(&self, rows: Option<&ExchangeMatrix>) -> f64 {
         let residual = |i: usize| {
             let rest = self.rest(i, rows.and_then(|r| r.summary.get(i)));
             let sum: f64 = self.row(i).map(|(_, f)| f).sum();
             (sum + rest.escaped.x + rest.absorbed.x - 1.0).abs()
         };
-        (0..self.n).map(residual).fold(0.0, f64::max)
+        let found = |i: &usize| self.only.as_ref().is_none_or(|only| only[*i]);
+        (0..self.n).filter(found).map(residual).fold(0.0, f64::max)
     }
 
     /// Pairs of objects between which rays are blocked although their factor is not zero, and the number of rays that
@@ -412,13 +430,16 @@ impl<'a, 's> Shared<'a, 's> {
         work: &'a PairWork<'a>,
     ) -> Shared<'a, 's> {
         let surfaces = Surfaces::new(scene);
+        let (n, sides) = (surfaces.polygons.len() as u32, sides(scene, mesh));
         let element = |e: u32| {
-            let (face, _, _) = mesh.place(e);
+            let (face, front, _) = mesh.place(e);
+            let surface = surfaces.of_face[face as usize];
             Element {
                 polygon: Polygon::of_element(scene, mesh, e),
                 open: None,
-                surface: surfaces.of_face[face as usize],
-                object: scene.faces[face as usize].object,
+                surface,
+                side: surface + if front { 0 } else { n },
+                object: sides.of_element[e as usize],
                 area: mesh.area(e),
             }
         };
@@ -430,11 +451,13 @@ impl<'a, 's> Shared<'a, 's> {
             between: Vec::new(),
             bodies: Vec::new(),
             eps: surfaces.eps,
-            objects: scene.objects.len(),
+            objects: sides.names.len(),
+            sides: surfaces.polygons.len() * if mesh.has_backs() { 2 } else { 1 },
             surfaces: surfaces.polygons.iter().copied().map(Bounded::new).collect(),
         };
         if !work.unoccluded {
-            shared.bodies = Body::all(&surfaces);
+            // The insides of a body see each other through what is solid from outside.
+            shared.bodies = if mesh.has_backs() { Body::singles(&surfaces) } else { Body::all(&surfaces) };
             shared.between = shared.all_between();
             if work.cells.is_some() {
                 let bodies = &shared.bodies;
@@ -446,15 +469,19 @@ impl<'a, 's> Shared<'a, 's> {
 
     fn all_between(&self) -> Vec<Between> {
         let n = self.surfaces.len();
+        let side = |k: usize| {
+            let polygon = self.surfaces[k % n].polygon;
+            if k < n { polygon } else { polygon.turned() }
+        };
         let mut body_of = vec![0; n];
         for (k, body) in self.bodies.iter().enumerate() {
             body.surfaces().for_each(|f| body_of[f as usize] = k as u32);
         }
         let list = |k: usize| {
-            let (i, j) = (k / n, k % n);
+            let (i, j) = (k / self.sides, k % self.sides);
             let mut found = Between::default();
-            if i < j {
-                let (a, b) = (&self.surfaces[i].polygon, &self.surfaces[j].polygon);
+            if i < j && i % n != j % n {
+                let (a, b) = (&side(i), &side(j));
                 let Some((a, b)) = super::analytic::facing(a, b) else {
                     // Elements of joined surfaces may lie off their plane a little.
                     let [ab, ba] = [(a, b), (b, a)]
@@ -463,7 +490,7 @@ impl<'a, 's> Shared<'a, 's> {
                     return found;
                 };
                 let mut shaft = Shaft::new(&a, &b, self.eps);
-                let others = (0..n).filter(|q| *q != i && *q != j);
+                let others = (0..n).filter(|q| *q != i % n && *q != j % n);
                 found
                     .surfaces
                     .extend(others.filter(|q| shaft.may_block(&self.surfaces[*q])).map(|q| q as u32));
@@ -473,7 +500,7 @@ impl<'a, 's> Shared<'a, 's> {
             }
             found
         };
-        (0..n * n).into_par_iter().with_min_len(64).map(list).collect()
+        (0..self.sides * self.sides).into_par_iter().with_min_len(64).map(list).collect()
     }
 
     /// Relative error that unoccluded factors are found to.

@@ -74,8 +74,15 @@ struct Estimate {
 }
 
 impl Shared<'_, '_> {
-    /// The pairs of element i with those of a range; none with itself.
-    pub(super) fn row(&self, scratch: &mut Scratch, i: usize, others: Range<usize>) -> Row {
+    /// The pairs of element i with those of a range; none with itself. Where `only` names elements, pairs without any of them
+    /// are left at nothing.
+    pub(super) fn row(
+        &self,
+        scratch: &mut Scratch,
+        i: usize,
+        others: Range<usize>,
+        only: Option<&[bool]>,
+    ) -> Row {
         let a = &self.elements[i];
         scratch.samples.clear();
         scratch.shadows.iter_mut().for_each(Vec::clear);
@@ -91,6 +98,11 @@ impl Shared<'_, '_> {
             objects: Vec::new(),
         };
         for j in others {
+            if only.is_some_and(|only| !only[i] && !only[j]) {
+                row.exchange.push(0.0);
+                row.error.push(0.0);
+                continue;
+            }
             let b = &self.elements[j];
             let (by_batch, unseen, certain) = &mut sums[b.object as usize];
             let averted = a.surface == b.surface || self.between(i, j).is_some_and(|between| between.averted);
@@ -192,8 +204,8 @@ impl Shared<'_, '_> {
 
     /// What may come between the surfaces of two elements, unless everything is ignored.
     fn between(&self, i: usize, j: usize) -> Option<&Between> {
-        let (f, g) = (self.elements[i].surface as usize, self.elements[j].surface as usize);
-        self.between.get(f.min(g) * self.surfaces.len() + f.max(g))
+        let (f, g) = (self.elements[i].side as usize, self.elements[j].side as usize);
+        self.between.get(f.min(g) * self.sides + f.max(g))
     }
 
     /// The same as [`Shared::pair`] from bodies; none where too many of them lie between.
