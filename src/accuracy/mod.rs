@@ -332,6 +332,7 @@ fn finish(
     let part = if plan.spp >= MANY_SAMPLES { FIRST } else { 1 };
     let (mut rays, mut spp) = ((plan.rays / part).max(FEWEST_RAYS as u32), plan.spp / part);
     let (mut all_rays, mut all_spp, mut pair) = (0u64, 0u32, 0u32);
+    let mut most_rays = MOST_RAYS;
     let mut warnings: Vec<String> = Vec::new();
     let mut dropped = 0.0f64;
     loop {
@@ -356,8 +357,14 @@ fn finish(
             dropped = dropped.max(traced.dropped);
             Ok((image, result, settings))
         };
-        let (first, other, _) = half(0, stages)?;
-        let (second, pass1, settings) = half(1, stages)?;
+        let both = half(0, stages).and_then(|first| Ok((first, half(1, stages)?)));
+        // Rays take memory too: where there is none for so many, more pairs of halves have fewer each.
+        if matches!(both, Err(Error::Usage(_))) && f64::from(rays) > FEWEST_RAYS {
+            rays = (rays / 2).max(FEWEST_RAYS as u32);
+            most_rays = f64::from(rays);
+            continue;
+        }
+        let ((first, other, _), (second, pass1, settings)) = both?;
         for w in other.warnings.iter().chain(&pass1.warnings) {
             // A half may be as noisy as it likes: the noise of the picture is measured.
             if !w.starts_with(UNCERTAIN) && !warnings.contains(w) {
@@ -409,7 +416,7 @@ fn finish(
         let needed = 1.0 / (1.0 / variance - 1.0 / noise);
         let growth = (own / needed).powf(1.0 / pilot.fall(plan.quality, spp, own)).clamp(0.125, GROWTH);
         let grow = |n: u32, most: f64| (f64::from(n) * growth).ceil().min(most) as u32;
-        rays = grow(rays, MOST_RAYS).max(FEWEST_RAYS as u32);
+        rays = grow(rays, most_rays).max(FEWEST_RAYS as u32);
         spp = grow(spp, f64::from((MOST_SAMPLES - all_spp).div_ceil(2)));
     }
 }
