@@ -1,101 +1,11 @@
 //! The program as its users run it: what it writes, and what it says about what they did wrong.
 
+mod common;
+
+use common::program::*;
 use exr::meta::attribute::AttributeValue;
 use std::fs;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
-use twopass::image::{read_exr, supported};
-
-/// A closed cube of one metre, seen from within; a quarter of it is lit by a panel under the ceiling.
-const ROOM: &str = "o cube\nusemtl white\n\
-    v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nv 1 0 1\nv 1 1 1\nv 0 1 1\n\
-    f 1 5 6 2\nf 4 3 7 8\nf 1 2 3 4\nf 5 8 7 6\nf 1 4 8 5\nf 2 6 7 3\n\
-    o panel\nusemtl lamp\n\
-    v 0.3 0.9 0.3\nv 0.7 0.9 0.3\nv 0.7 0.9 0.7\nv 0.3 0.9 0.7\nf 9 10 11 12\n";
-const CAMERA: &str =
-    "[camera]\norigin = [0.5, 0.4, 0.95]\ntarget = [0.5, 0.4, 0]\nfov = 60\nsize = [12, 8]\n";
-const MATERIALS: &str = "[materials.white]\ndiffuse = 0.5\n[materials.lamp]\nemission = [3, 2, 1]\n";
-/// So little work that a run takes a moment.
-const QUICK: [&str; 4] = ["--rays", "16", "--element-size", "0.5"];
-
-/// A folder with a scene in it.
-struct Files(tempfile::TempDir);
-
-/// What a run of the program left.
-struct Run {
-    code: i32,
-    stdout: Vec<u8>,
-    stderr: String,
-}
-
-impl Files {
-    /// `scene.toml` with this text behind its geometry, and `room.obj`.
-    fn new(toml: &str, obj: &str) -> Files {
-        let folder = tempfile::tempdir().unwrap();
-        fs::write(folder.path().join("scene.toml"), format!("geometry = [\"room.obj\"]\n{toml}")).unwrap();
-        fs::write(folder.path().join("room.obj"), obj).unwrap();
-        Files(folder)
-    }
-
-    fn room() -> Files {
-        Files::new(&format!("{CAMERA}{MATERIALS}"), ROOM)
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-
-    /// Runs the program in the folder; it must never panic.
-    #[track_caller]
-    fn run(&self, args: &[&str]) -> Run {
-        let output = Command::new(env!("CARGO_BIN_EXE_twopass"))
-            .current_dir(self.0.path())
-            .args(args)
-            .stdin(Stdio::null())
-            .output()
-            .unwrap();
-        let stderr = String::from_utf8(output.stderr).unwrap();
-        assert!(!stderr.contains("panicked"), "{args:?}: {stderr}");
-        Run { code: output.status.code().expect("no signal"), stdout: output.stdout, stderr }
-    }
-
-    /// Runs the program, which must succeed.
-    #[track_caller]
-    fn done(&self, args: &[&str]) -> Run {
-        let run = self.run(args);
-        assert_eq!(run.code, 0, "{args:?}: {}", run.stderr);
-        run
-    }
-
-    /// Runs the program, which must fail so, say all of `parts`, and leave no file.
-    #[track_caller]
-    fn fails(&self, args: &[&str], code: i32, parts: &[&str]) {
-        let before = self.names();
-        let run = self.run(args);
-        assert_eq!(run.code, code, "{args:?}: {}", run.stderr);
-        for part in parts {
-            assert!(run.stderr.contains(part), "{args:?} should say {part:?}: {}", run.stderr);
-        }
-        assert!(run.stdout.is_empty(), "{args:?}");
-        assert_eq!(self.names(), before, "{args:?}");
-    }
-
-    /// A rendering of the scene fails with exit code 1 and says all of `parts`.
-    #[track_caller]
-    fn render_fails(&self, parts: &[&str]) {
-        let args = [&["render", "scene.toml", "-o", "a.exr", "--spp", "1"], &QUICK[..]].concat();
-        self.fails(&args, 1, parts);
-    }
-
-    fn names(&self) -> Vec<String> {
-        let mut names: Vec<_> = fs::read_dir(self.0.path())
-            .unwrap()
-            .map(|e| e.unwrap().file_name().into_string().unwrap())
-            .collect();
-        names.sort();
-        names
-    }
-}
+use twopass::image::read_exr;
 
 #[test]
 fn files_that_are_missing_or_damaged() {
@@ -147,88 +57,6 @@ fn scenes_that_cannot_be_rendered() {
     let white =
         "[materials.white]\ndiffuse = 1\n[materials.lamp]\ndiffuse = 1\nemission = 1\ntwo_sided = true\n";
     Files::new(&format!("{CAMERA}{white}"), ROOM).render_fails(&["no steady state", "albedo", "below 1"]);
-}
-
-#[test]
-fn outputs_that_cannot_be_written_are_found_before_the_work() {
-    let room = Files::room();
-    fs::create_dir(room.path("folder.exr")).unwrap();
-    fs::create_dir(room.path("folder.npz")).unwrap();
-    // The scene does not exist: whoever reads it first says so instead.
-    let render = |output: &str, code: i32, parts: &[&str]| {
-        room.fails(&["render", "gone.toml", "-o", output], code, parts);
-    };
-    render("gone/a.exr", 1, &["gone/a.exr", "folder gone does not exist"]);
-    render("folder.exr", 1, &["folder.exr", "is a folder"]);
-    render("a.bmp", 2, &["a.bmp", ".exr", ".png"]);
-    render("a", 2, &["the image format is unknown"]);
-    room.fails(&["solve", "gone.toml", "-o", "gone/a.npz"], 1, &["gone/a.npz", "does not exist"]);
-    room.fails(&["solve", "gone.toml", "-o", "folder.npz"], 1, &["folder.npz", "is a folder"]);
-    room.fails(&["solve", "gone.toml", "-o", "a.csv"], 2, &["a.csv", ".npz"]);
-    room.fails(&["form-factors", "gone.toml", "-o", "gone/a.npz"], 1, &["gone/a.npz", "does not exist"]);
-    room.fails(&["form-factors", "gone.toml", "-o", "a.txt"], 2, &["a.txt", ".npz"]);
-    room.fails(&["form-factors", "gone.toml"], 2, &["name an output", "--by-object"]);
-    room.fails(&["form-factors", "gone.toml", "--view", "0", "-o", "a.npz"], 2, &["a.npz", "picture"]);
-    let report = ["--report", "gone/r.json"];
-    for command in [
-        &["render", "gone.toml", "-o", "a.exr"][..],
-        &["solve", "gone.toml", "-o", "a.npz"],
-        &["form-factors", "gone.toml", "--by-object"],
-    ] {
-        room.fails(&[command, &report].concat(), 1, &["gone/r.json", "does not exist"]);
-    }
-    let twice = ["render", "gone.toml", "-o", "a.exr", "-o", "./a.exr"];
-    room.fails(&twice, 2, &["./a.exr", "given twice"]);
-    room.fails(
-        &["solve", "scene.toml", "-o", "a.npz", "--report", "scene.toml"],
-        2,
-        &["scene.toml", "is read in this run"],
-    );
-}
-
-#[test]
-#[cfg(unix)]
-fn what_is_read_is_not_replaced() {
-    let room = Files::new(CAMERA, &format!("mtllib room.mtl\n{ROOM}"));
-    fs::write(room.path("room.mtl"), "newmtl white\nKd 0.5 0.5 0.5\nnewmtl lamp\nKe 3 2 1\n").unwrap();
-    let solve = [&["solve", "scene.toml", "-o", "s.npz"], &QUICK[..]].concat();
-    room.done(&solve);
-    fs::create_dir(room.path("folder")).unwrap();
-    for (link, file) in [("o", "../room.obj"), ("m", "../room.mtl"), ("s", "../s.npz")] {
-        std::os::unix::fs::symlink(file, room.path("folder").join(link)).unwrap();
-    }
-    let inputs = ["room.obj", "room.mtl", "scene.toml", "s.npz"];
-    let before = inputs.map(|name| fs::read(room.path(name)).unwrap());
-    let says = "is read in this run and would be replaced";
-    for report in ["room.obj", "room.mtl", "./folder/../room.obj", "folder/o", "folder/m"] {
-        let report = ["--report", report];
-        room.fails(&[&solve[..], &report].concat(), 2, &[report[1], says]);
-        let factors = ["form-factors", "scene.toml", "-o", "f.npz"];
-        room.fails(&[&factors[..], &report].concat(), 2, &[report[1], says]);
-        let render = ["render", "scene.toml", "-o", "a.exr", "--solution", "s.npz"];
-        room.fails(&[&render[..], &report].concat(), 2, &[report[1], says]);
-    }
-    for report in ["s.npz", "folder/s", "scene.toml"] {
-        let render = ["render", "scene.toml", "-o", "a.exr", "--solution", "s.npz", "--report", report];
-        room.fails(&render, 2, &[report, says]);
-    }
-    assert!(inputs.map(|name| fs::read(room.path(name)).unwrap()) == before);
-}
-
-#[test]
-#[cfg(unix)]
-fn folders_without_write_permission() {
-    use std::os::unix::fs::PermissionsExt;
-    let room = Files::room();
-    let closed = room.path("closed");
-    fs::create_dir(&closed).unwrap();
-    fs::set_permissions(&closed, fs::Permissions::from_mode(0o555)).unwrap();
-    if supported(&closed.join("a.exr")).is_ok() {
-        println!("skipped: permissions do not bind this user");
-        return;
-    }
-    room.fails(&["render", "scene.toml", "-o", "closed/a.exr"], 1, &["closed/a.exr", "cannot be written to"]);
-    room.fails(&["solve", "scene.toml", "-o", "closed/a.npz"], 1, &["closed/a.npz", "cannot be written to"]);
 }
 
 #[test]
@@ -476,55 +304,6 @@ fn info_and_solve_have_the_same_elements() {
     let text = String::from_utf8(run.stdout).unwrap();
     assert!(text.contains(&format!("elements      {elements} of at most 0.5 m\n")), "{text}");
     files.fails(&["info", "scene.toml", "--rays", "7"], 2, &["--rays"]);
-}
-
-#[test]
-#[cfg(unix)]
-fn a_closed_pipe_is_no_panic() {
-    let room = Files::room();
-    // The standard input of a program that has ended: nobody reads what is written there.
-    let closed = || -> Stdio {
-        let mut ended = Command::new("true").stdin(Stdio::piped()).spawn().unwrap();
-        let writer = ended.stdin.take().unwrap();
-        ended.wait().unwrap();
-        writer.into()
-    };
-    let start = |args: &[&str]| -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_twopass"));
-        command.current_dir(room.0.path()).args(args);
-        command
-    };
-    let output = start(&["info", "scene.toml"]).stdout(closed()).output().unwrap();
-    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!((output.status.code(), stderr.as_str()), (Some(0), ""));
-    let factors = ["form-factors", "room.obj", "--by-object", "--quiet", "--rays", "16"];
-    let output = start(&factors).stdout(closed()).output().unwrap();
-    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(1), "{stderr}");
-    assert!(stderr.contains("standard output") && !stderr.contains("panicked"), "{stderr}");
-    // Standard error closed: progress is lost, the work is not.
-    let render = [&["render", "scene.toml", "-o", "a.exr", "--spp", "1"], &QUICK[..]].concat();
-    assert_eq!(start(&render).stderr(closed()).status().unwrap().code(), Some(0));
-    assert!(room.path("a.exr").is_file());
-}
-
-#[test]
-#[cfg(unix)]
-fn names_that_are_not_unicode() {
-    use std::ffi::OsStr;
-    use std::os::unix::ffi::OsStrExt;
-    let room = Files::room();
-    let name = OsStr::from_bytes(b"caf\xe9.exr");
-    let output = Command::new(env!("CARGO_BIN_EXE_twopass"))
-        .current_dir(room.0.path())
-        .args(["render", "scene.toml", "--spp", "1", "--report", "r.json", "-o"])
-        .arg(name)
-        .args(QUICK)
-        .output()
-        .unwrap();
-    let stderr = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(0), "{stderr}");
-    assert!(room.path("r.json").is_file() && Path::new(&room.0.path().join(name)).is_file());
 }
 
 /// Unit squares face to face, and a smaller one half-way between them.

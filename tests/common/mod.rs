@@ -1,6 +1,9 @@
 //! What the tests of several files share: scenes written as files, solves, statistics.
 #![allow(dead_code)] // each test file uses its own part
 
+pub mod factor_files;
+pub mod program;
+
 use serde_json::Value;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
