@@ -56,7 +56,7 @@ impl Need {
         mesh: &Mesh,
         (rays, batches): (u32, u32),
         channels: usize,
-        cells: f64,
+        cells: usize,
         threads: usize,
     ) -> Need {
         let n = mesh.len() as f64;
@@ -73,7 +73,7 @@ impl Need {
         };
         let casting = threads as f64 * f64::from(rays) * RAY;
         Need {
-            elements: n * (ELEMENT + more) + cells * CELL + casting,
+            elements: n * (ELEMENT + more) + cells as f64 * CELL + casting,
             matrix: n * row * 4.0 * (1 + channels) as f64,
             tiles,
         }

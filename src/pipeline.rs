@@ -222,8 +222,9 @@ pub(crate) fn solve_mesh(
         ProjectionMap::new(visibility, &mesh, emitters, (most / 16.0).min(524_288.0) as u32, settings.seed)
     });
     let projection = projection.flatten();
-    let cells = if projection.is_some() { radiosity::caustic_cells(&mesh) } else { 0.0 };
-    let need = Need::new(&mesh, (settings.rays, batches), channels, cells, rayon::current_num_threads());
+    let cells = projection.as_ref().map(|_| radiosity::caustic_cells(scene, &mesh)).transpose()?;
+    let count = cells.as_ref().map_or(0, Mesh::len);
+    let need = Need::new(&mesh, (settings.rays, batches), channels, count, rayon::current_num_threads());
     let all = Plan { factors: Factors::Kept, tiles: true };
     let Plan { factors, tiles } = limit.map_or(Ok(all), |limit| need.choose(limit))?;
     let particles = projection.as_ref().map_or(0, |projection| aimed_particles(most, projection) / batches);
@@ -247,22 +248,20 @@ pub(crate) fn solve_mesh(
         let per_row = rows.rays_per_row();
         let mut light = EmitterLight { rows: None, particles: None };
         if emitters.is_empty() {
-            return (Ok(light), 0);
+            return (light, 0);
         }
         let mut rays = mesh.len() as u64 * u64::from(work.samples);
         let (seed, count) = (settings.seed, (batches, samples));
         radiosity::sample_emitters(visibility, &mesh, emitters, count, per_row, seed, &mut found);
         light.rows = Some(found);
-        if particles > 0 && !mesh.is_empty() {
-            match radiosity::trace_particles(visibility, &mesh, emitters, (batches, work), per_row, seed) {
-                Ok(caustic) => {
-                    rays += caustic.rays;
-                    light.particles = Some(caustic);
-                }
-                Err(e) => return (Err(e), rays),
-            }
+        if let Some(cells) = cells.filter(|_| particles > 0 && !mesh.is_empty()) {
+            let work = (batches, work);
+            let caustic =
+                radiosity::trace_particles(visibility, (&mesh, cells), emitters, work, per_row, seed);
+            rays += caustic.rays;
+            light.particles = Some(caustic);
         }
-        (Ok(light), rays)
+        (light, rays)
     };
     let total = mesh.len() as u64;
     let mut result = match factors {
@@ -271,8 +270,8 @@ pub(crate) fn solve_mesh(
                 let (matrix, found) = form_factor::cast(visibility, &mesh, &casting);
                 let (light, rays) = straight((&matrix).into(), found);
                 let rays = rays + matrix.rays;
-                (light.map(|light| (matrix, light)), rays)
-            })?;
+                ((matrix, light), rays)
+            });
             let mut result = stage("solve", 0, observer, stages, || {
                 (finish(visibility, mesh.clone(), ((&matrix).into(), tiles), emitters, light, views), 0)
             })?;
@@ -284,8 +283,8 @@ pub(crate) fn solve_mesh(
                 let (recast, found) = Recast::new(visibility, &mesh, &casting);
                 let (light, rays) = straight(Rows::Cast(&recast), found);
                 let rays = rays + recast.rays();
-                (light.map(|light| (recast, light)), rays)
-            })?;
+                ((recast, light), rays)
+            });
             stage("solve", 0, observer, stages, || {
                 let before = recast.rays();
                 let result =

@@ -151,3 +151,14 @@ fn factors_that_no_ray_met_have_an_error() {
     let csv = fs::read_to_string(far.path("t.csv")).expect("t.csv");
     assert!(csv.contains(&format!(",0,{error}\n")), "{csv}");
 }
+
+/// Two rooms with a wall in common, drawn twice: between its two sides are factors that are exact and tiny, and rows close all the same.
+#[test]
+fn rooms_with_a_common_wall_close() {
+    let rooms = [("left", 0.0), ("right", 1.0)]
+        .map(|(name, x)| (name, box_faces([x, 0.0, 0.0], [1.0; 3], true).into_iter().map(|f| f.1).collect()));
+    let folder = Folder::new(&rooms);
+    let args =
+        ["--element-size", "0.5", "--rays", "4096", "--two-sided", "--enforce", "closure", "-o", "f.npz"];
+    folder.done(&args);
+}

@@ -84,3 +84,75 @@ fn sides_that_differ_are_both_kept() {
         }
     }
 }
+
+/// Two cubes with a wall in common, each drawn with its own: whichever way the walls look, each room has its own on its side.
+#[test]
+fn rooms_with_a_common_wall_see_their_own() {
+    for inside in [true, false] {
+        let mut files = Files::default();
+        for (room, x) in [("left", 0.0), ("right", 1.0)] {
+            files.diffuse(room, &[0.5], &[0.0]);
+            for (_, points) in box_faces([x, 0.0, 0.0], [1.0; 3], inside) {
+                files.polygon(room, room, &points);
+            }
+        }
+        let scene = files.load();
+        assert_eq!(scene.faces.len(), 12);
+        let wall = |room: &str| {
+            let of_room = |f: &&twopass::scene::Face| scene.objects[f.object as usize] == room;
+            let middle = |f: &&twopass::scene::Face| {
+                (0..4).all(|k| (scene.corner(f, k).x + scene.center.x - 1.0).abs() < 1e-4)
+            };
+            let face = scene.faces.iter().filter(of_room).find(middle).expect("a wall");
+            scene.corner(face, 0).x
+        };
+        assert!(wall("left") < wall("right"), "inside {inside}: {} {}", wall("left"), wall("right"));
+    }
+}
+
+/// A pane that was drawn from both sides is one pane.
+#[test]
+fn panes_are_not_doubled() {
+    for entries in [
+        "thin = true\nspecular_transmission = 0.9",
+        "diffuse = 0.3\ndiffuse_transmission = 0.4",
+        "specular_transmission = 0.9\nior = 1",
+    ] {
+        let mut files = Files::default();
+        files.material("pane", entries);
+        let mut back = at(0.0);
+        back.reverse();
+        files.polygon("outer", "pane", &LOWER).polygon("inner", "pane", &back);
+        assert_eq!(files.load().faces.len(), 1, "{entries}");
+    }
+}
+
+/// A floor and the ceiling of the room below, in one plane, and a lamp in that ceiling: in either order all three stay.
+#[test]
+fn a_lamp_in_one_of_two_faces_back_to_back() {
+    let lamp = [[0.4, 0.6, 0.0], [0.6, 0.6, 0.0], [0.6, 0.4, 0.0], [0.4, 0.4, 0.0]];
+    let mut ceiling = at(0.0);
+    ceiling.reverse();
+    // Of two alike the first stays in the plane, where the lamp shows its back; the other is moved off both.
+    for (order, floor) in [(["floor", "ceiling"], 0.96), (["ceiling", "floor"], 1.0)] {
+        let mut files = Files::default();
+        files.material("floor", "diffuse = 0.5").material("ceiling", "diffuse = 0.6");
+        files.material("lamp", "diffuse = 0\nemission = 1");
+        for name in order {
+            files.polygon(name, name, if name == "floor" { &LOWER } else { &ceiling });
+        }
+        files.polygon("lamp", "lamp", &lamp);
+        let scene = files.load();
+        let area = |object: &str| {
+            let own = scene.faces.iter().filter(|f| scene.objects[f.object as usize] == object);
+            own.map(|f| f.area).sum::<f64>()
+        };
+        assert!((area("lamp") - 0.04).abs() < 1e-9 && (area("ceiling") - 0.96).abs() < 1e-9, "{order:?}");
+        assert!((area("floor") - floor).abs() < 1e-9, "{order:?}: {}", area("floor"));
+        let z = |object: &str| {
+            let face = scene.faces.iter().find(|f| scene.objects[f.object as usize] == object);
+            scene.corner(face.expect(object), 0).z
+        };
+        assert!(z("floor") > z("ceiling"), "{order:?}");
+    }
+}

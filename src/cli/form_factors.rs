@@ -53,7 +53,9 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
     let mut stages: Vec<Stage> = Vec::new();
     let scene = pipeline::stage("load", 0, observer, &mut stages, || (load(&args.scene), 0))?;
     spare_inputs(&scene.files, files)?;
-    options::idle_of_form_factors(args).iter().chain(&scene.warnings).for_each(|w| progress.warn(w));
+    let mut warnings = options::idle_of_form_factors(args);
+    warnings.extend(scene.warnings.iter().cloned());
+    warnings.iter().for_each(|w| progress.warn(w));
     let settings = pass1(&args.pass1, &scene, args.common.seed);
     // Exact factors between objects do not depend on elements: whole faces are few.
     let whole = args.by_object && args.method == FactorMethodArg::Analytic;
@@ -76,7 +78,6 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
     }
 
     let device = Device::new(rayon::current_num_threads())?;
-    let mut warnings = scene.warnings.clone();
     let mut report = None;
     if let Some(element) = viewed {
         let visibility =

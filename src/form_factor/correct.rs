@@ -101,6 +101,8 @@ const MOST_GROWTH: f64 = 2.0;
 /// Relative standard error up to which a factor counts as exact: rounding makes as much of none, and integrals
 /// over cells have a hundred times more.
 const EXACT: f64 = 1e-6;
+/// Least mobility of an entry: with less, rows of which nothing else moves would be told from rounding no more.
+const LEAST_MOBILITY: f64 = 1e-9;
 /// Relative difference of two directions' estimates that are one estimate.
 const SAME: f64 = 1e-12;
 
@@ -117,7 +119,7 @@ pub fn correct(factors: &mut Factors, enforce: Enforce) -> Result<Correction> {
     let raw = factors.clone();
     let noise = Noise::of(&raw);
     let mut symmetric = Symmetric::new(&raw, &noise);
-    let outside = Outside {
+    let mut outside = Outside {
         areas: (0..n).map(|i| raw.areas[i] * (raw.escaped[i] + raw.absorbed[i])).collect(),
         mobility: noise.outside.clone(),
     };
@@ -125,7 +127,15 @@ pub fn correct(factors: &mut Factors, enforce: Enforce) -> Result<Correction> {
         symmetric.values.iter().zip(&symmetric.errors).map(|(v, e)| is_exact(*v, *e)).collect();
     let (x, iterations) = match enforce {
         Enforce::Reciprocity => (vec![0.0; n], 0),
-        Enforce::Closure => multipliers(&symmetric, &outside, &raw)?,
+        Enforce::Closure => match multipliers(&symmetric, &outside, &raw) {
+            Ok(found) => found,
+            // Rows that only exact entries could close: all move alike.
+            Err(_) => {
+                symmetric.mobility.iter_mut().for_each(|w| *w = f32::from(*w > 0.0));
+                outside.mobility.iter_mut().for_each(|v| *v = f64::from(*v > 0.0));
+                multipliers(&symmetric, &outside, &raw)?
+            }
+        },
     };
     for i in 0..n {
         for k in symmetric.start[i]..symmetric.start[i + 1] {
@@ -293,7 +303,8 @@ impl Symmetric {
                     result.errors.push(error);
                     variance = variance.min(error.max(EXACT * value).powi(2));
                 }
-                let mobility = if value > 0.0 { variance / value / noise.largest } else { 0.0 };
+                let mobility =
+                    if value > 0.0 { (variance / value / noise.largest).max(LEAST_MOBILITY) } else { 0.0 };
                 result.mobility.push(mobility as f32);
             }
             result.start.push(result.columns.len());

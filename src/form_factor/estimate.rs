@@ -46,11 +46,18 @@ pub struct Request<'a> {
 }
 
 /// Whether every pair of elements is looked at: where they are no more than an eighth of the rays of an
-/// element, or an error is asked for; and where their number and that of the surfaces stays within
+/// element, or an error is asked for; and where their number and that of the surfaces' sides stays within
 /// [`pairs::MOST_ELEMENTS`] and [`pairs::MOST_SURFACES`].
-pub fn by_pairs(elements: usize, scene: &Scene, request: &Request) -> bool {
+pub fn by_pairs(mesh: &Mesh, scene: &Scene, request: &Request) -> bool {
+    let elements = mesh.len();
     let pays = elements <= (request.rays / RAYS_A_PAIR) as usize || request.error.is_some();
-    pays && elements <= pairs::MOST_ELEMENTS && Surfaces::new(scene).polygons.len() <= pairs::MOST_SURFACES
+    pays && elements <= pairs::MOST_ELEMENTS && has_few_surfaces(mesh, scene)
+}
+
+/// Whether what may lie between any two of the surfaces' sides is soon found.
+fn has_few_surfaces(mesh: &Mesh, scene: &Scene) -> bool {
+    let sides = if mesh.has_backs() { 2 } else { 1 };
+    sides * Surfaces::new(scene).polygons.len() <= pairs::MOST_SURFACES
 }
 
 /// Finds the factors between the elements of a mesh.
@@ -79,7 +86,7 @@ pub fn estimate_rows(
         };
         cast_rows(visibility, mesh, &casting, only).0
     };
-    if !by_pairs(mesh.len(), scene, request) {
+    if !by_pairs(mesh, scene, request) {
         let (matrix, achieved, rays) = by_rows(visibility, mesh, request, rows);
         let alone = request.error.is_some() || request.by_object;
         let lamps = if alone { None } else { lamps(visibility, mesh, request, only) };
@@ -140,7 +147,7 @@ fn lamps(visibility: &Visibility, mesh: &Mesh, request: &Request, only: Option<&
     let most = (request.rays / RAYS_A_LAMP) as usize;
     let elements: Vec<u32> = (0..mesh.len() as u32).filter(emits).take(most + 1).collect();
     let few = !elements.is_empty() && elements.len() <= most;
-    if !few || Surfaces::new(scene).polygons.len() > pairs::MOST_SURFACES {
+    if !few || !has_few_surfaces(mesh, scene) {
         return None;
     }
     let work = PairWork {

@@ -7,6 +7,7 @@ use super::pairs::PairFactors;
 use crate::color;
 use crate::mesh::Mesh;
 use crate::scene::Scene;
+use rayon::prelude::*;
 use serde::Serialize;
 
 /// A full table of form factors between the objects of a scene.
@@ -67,13 +68,13 @@ impl ObjectTable {
                 one_ray[object(e)] = one_ray[object(e)].max(share / f64::from(matrix.rays_per_row));
             }
             let faces = Faces::new(scene, mesh, &sides.of_element, n);
-            for (a, row) in standard_errors.iter_mut().enumerate() {
+            standard_errors.par_iter_mut().enumerate().for_each(|(a, row)| {
                 for (b, error) in row.iter_mut().enumerate() {
                     if *error == 0.0 && estimates[a][b].iter().all(|e| *e == 0.0) && faces.may_meet(a, b) {
                         *error = one_ray[a];
                     }
                 }
-            }
+            });
         }
         ObjectTable {
             objects: sides.names,
@@ -96,10 +97,8 @@ impl ObjectTable {
     /// Rows then close within their errors only.
     pub fn combined(scene: &Scene, mesh: &Mesh, matrix: &ExchangeMatrix, seconds: f64) -> ObjectTable {
         let mut table = ObjectTable::new(scene, mesh, matrix, seconds);
-        let mut elements = vec![0.0; scene.objects.len()];
-        for e in 0..mesh.len() {
-            elements[scene.faces[mesh.place(e as u32).0 as usize].object as usize] += 1.0;
-        }
+        let mut elements = vec![0.0; table.objects.len()];
+        sides(scene, mesh).of_element.iter().for_each(|side| elements[*side as usize] += 1.0);
         for a in 0..elements.len() {
             for b in 0..a {
                 let (area, f) = (&table.areas, &mut table.form_factors);
@@ -160,13 +159,13 @@ impl ObjectTable {
 /// The faces of each object's side that takes part.
 struct Faces {
     of: Vec<Vec<Polygon>>,
-    /// Light from any of them may come to any other by specular surfaces.
-    specular: bool,
+    /// Light from any of them may come to any other by specular surfaces, or nobody looks whether it does.
+    all: bool,
     eps: f64,
 }
 
-/// Pairs of faces beyond which two objects are taken to face each other.
-const MOST_PAIRS: usize = 1 << 20;
+/// Faces beyond which all objects are taken to face each other.
+const MOST_FACES: usize = 1 << 12;
 /// What counts as in one plane, as a share of the scene's radius.
 const IN_PLANE: f64 = 1e-9;
 
@@ -184,7 +183,8 @@ impl Faces {
             }
         }
         let specular = scene.faces.iter().any(|f| scene.material(f).is_specular());
-        Faces { of, specular, eps: IN_PLANE * scene.radius }
+        let all = specular || of.iter().map(Vec::len).sum::<usize>() > MOST_FACES;
+        Faces { of, all, eps: IN_PLANE * scene.radius }
     }
 
     /// Whether a ray from a may meet b, as far as the planes of their faces tell.
@@ -194,9 +194,7 @@ impl Faces {
             return false;
         }
         let before = |p: &Polygon, q: &Polygon| p.reaches_before(q.corners()[0], q.normal, self.eps);
-        self.specular
-            || a.len() * b.len() > MOST_PAIRS
-            || a.iter().any(|p| b.iter().any(|q| before(p, q) && before(q, p)))
+        self.all || a.iter().any(|p| b.iter().any(|q| before(p, q) && before(q, p)))
     }
 }
 

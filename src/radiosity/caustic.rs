@@ -74,39 +74,29 @@ struct Arrival {
     irradiance: [f32; 3],
 }
 
-fn area_of(mesh: &Mesh) -> f64 {
-    (0..mesh.len() as u32).map(|e| mesh.area(e)).sum()
+/// The cells of the map on the elements of a mesh.
+///
+/// # Errors
+/// They are too many to be numbered.
+pub fn cells_of(scene: &Scene, mesh: &Mesh) -> crate::Result<Mesh> {
+    let area: f64 = (0..mesh.len() as u32).map(|e| mesh.area(e)).sum();
+    let size = (mesh.element_size / FINENESS).max((area / MOST_CELLS).sqrt());
+    Mesh::new(scene, &mesh.sides(), size, false)
 }
 
-/// Largest edge of the map's cells on elements of an area \[m\].
-fn cell_size(mesh: &Mesh, area: f64) -> f64 {
-    (mesh.element_size / FINENESS).max((area / MOST_CELLS).sqrt())
-}
-
-/// About how many cells the map has that [`trace_particles`] makes: for what memory they need.
-pub fn cells_of(mesh: &Mesh) -> f64 {
-    let of_triangles = |e: &u32| mesh.grid(mesh.place(*e).0).is_triangle();
-    let twice: f64 = (0..mesh.len() as u32).filter(of_triangles).map(|e| mesh.area(e)).sum();
-    let area = area_of(mesh);
-    let size = cell_size(mesh, area);
-    // A triangle's cells are half as large; faces are divided into whole cells, and so were the elements.
-    (1.25 * (area + twice) / size.powi(2)).max(mesh.len() as f64 * (mesh.element_size / size).powi(2))
-}
-
-/// Sends the particles of `work` from the emitters, equally many in each of `batches` independent randomisations.
+/// Sends the particles of `work` from the emitters, equally many in each of `batches` independent randomisations, to the elements of a
+/// mesh and their `cells` ([`cells_of`]).
 ///
 /// `rays` is the number of hemisphere rays an element that share the paths.
 pub fn trace_particles(
     visibility: &Visibility,
-    mesh: &Mesh,
+    (mesh, cells): (&Mesh, Mesh),
     emitters: &Emitters,
     (batches, work): (u32, EmitterWork),
     rays: u32,
     seed: u32,
-) -> crate::Result<Caustic> {
+) -> Caustic {
     let scene = visibility.scene();
-    let size = cell_size(mesh, area_of(mesh));
-    let cells = Mesh::new(scene, &mesh.sides(), size, false)?;
     let particles = work.particles / batches;
     let tracer = Tracer { visibility, mesh, cells: &cells, emitters, work, rays, seed };
     let mut by_element = vec![Rgb::ZERO; mesh.len() * batches as usize];
@@ -137,7 +127,7 @@ pub fn trace_particles(
     }
     let lit = by_cell.iter().any(|c| *c != Rgb::ZERO);
     let map = lit.then(|| CausticMap::new(scene, cells, &by_cell));
-    Ok(Caustic { by_element, map, rays: cast })
+    Caustic { by_element, map, rays: cast }
 }
 
 impl CausticMap {

@@ -6,8 +6,8 @@
 //! on a table, the table's top is seen through it, in optical contact. Of two alike the smaller polygon keeps its part: what
 //! was put on a larger surface was meant to be seen. A translucent face on an opaque one (a paper lantern that stands on a floor) is one
 //! surface with it where they touch, [`Material::coated`], of its own object and with the front of what it lies on.
-//! Faces back to back that cover each other, as a lamp that shines up and one that shines down, are two sides of a thin body: each
-//! keeps its front, and one is moved off the other, to where rays can tell them apart.
+//! Faces back to back that cover each other, as a lamp that shines up and one that shines down, or the wall of two rooms, are two sides of
+//! a thin body: both are kept, and one is moved off the other, to where rays can tell them apart.
 //! What glass stands on is divided along the glass's outline: the radiosity within differs by the index squared, and elements
 //! must not lie half within.
 
@@ -116,7 +116,8 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
     let mut groups: Vec<Vec<u32>> = planes.into_values().filter(|g| g.len() > 1).collect();
     groups.sort_unstable();
     let mut replaced: Vec<(u32, Pieces)> = Vec::new();
-    let mut parted: Vec<u32> = Vec::new();
+    let mut parted: Vec<(u32, DVec3)> = Vec::new();
+    let mut bulk = None;
     let mut coated = Coated { known: materials, made: Vec::new(), numbers: FxHashMap::default() };
     for group in groups {
         let mut flats: Vec<Flat> = group.iter().map(|&k| Flat::new(k, faces, points, center)).collect();
@@ -146,7 +147,9 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
             let [f, g] = [a, b].map(|k| &faces[k as usize]);
             let [one, other] = [f, g].map(|f| &materials[f.material as usize]);
             let twice = (f.object, f.material) == (g.object, g.material) && one.is_alike_on_both_sides();
-            f.normal.dot(g.normal) < 0.0 && !(joins(a, b) || one.bends() || other.bends() || twice)
+            // One sheet, not two that light goes through one after the other.
+            let sheet = one.lets_through() && other.lets_through();
+            f.normal.dot(g.normal) < 0.0 && !(joins(a, b) || one.bends() || other.bends() || twice || sheet)
         };
         let mut changes: FxHashMap<u32, Change> = FxHashMap::default();
         for (i, a) in flats.iter().enumerate() {
@@ -179,19 +182,37 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
         changes.sort_unstable_by_key(|change| change.0);
         for (k, change) in changes {
             let face = &faces[k as usize];
-            let mut pieces: Pieces =
+            let whole: Pieces =
                 vec![(corners(face, points), Made { object: face.object, material: face.material })];
-            for &w in &change.winners {
-                let cutter = flatten(face, &corners(&faces[w as usize], points));
-                let outside = |(p, made): &(Vec<DVec3>, Made)| {
-                    let made = *made;
-                    subtract(face, p, &cutter).0.into_iter().map(move |p| (p, made))
-                };
-                pieces = pieces.iter().flat_map(outside).collect();
-            }
-            let covered = pieces.is_empty() && change.tops.is_empty();
-            if covered && change.winners.iter().all(|w| back_to_back(k, *w)) {
-                parted.push(k);
+            let without = |mut pieces: Pieces, winners: &[u32]| -> Pieces {
+                for &w in winners {
+                    let cutter = flatten(face, &corners(&faces[w as usize], points));
+                    let outside = |(p, made): &(Vec<DVec3>, Made)| {
+                        let made = *made;
+                        subtract(face, p, &cutter).0.into_iter().map(move |p| (p, made))
+                    };
+                    pieces = pieces.iter().flat_map(outside).collect();
+                }
+                pieces
+            };
+            let (backs, others): (Vec<u32>, Vec<u32>) =
+                change.winners.iter().partition(|w| back_to_back(k, **w));
+            let open = without(whole, &others);
+            let mut pieces = without(open.clone(), &backs);
+            if pieces.is_empty() && !open.is_empty() && change.tops.is_empty() {
+                let apart = 2.0 * APART * (face.normal.abs().dot(0.5 * (high - low)) + 2.0 * radius);
+                let by_bulk = materials[face.material as usize].is_alike_on_both_sides()
+                    && backs.iter().all(|b| faces[*b as usize].object != face.object);
+                let bulk = bulk.get_or_insert_with(|| bulks(faces, points))[&face.object];
+                let moved = apart * gap_side(face, bulk, points, by_bulk) * face.normal;
+                if others.is_empty() {
+                    parted.push((k, moved));
+                } else {
+                    let moved =
+                        |(p, made): (Vec<DVec3>, Made)| (p.iter().map(|q| *q + moved).collect(), made);
+                    result.parted.push(face.object);
+                    replaced.push((k, open.into_iter().map(moved).collect()));
+                }
                 continue;
             }
             if face.normals.is_some() && !pieces.is_empty() {
@@ -225,24 +246,43 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
     }
     let made = coated.made;
     materials.extend(made);
-    parted.sort_unstable();
-    result.parted = parted.iter().map(|k| faces[*k as usize].object).collect();
-    part(faces, points, &parted, (0.5 * (high - low), radius));
+    parted.sort_unstable_by_key(|p| p.0);
+    result.parted.extend(parted.iter().map(|p| faces[p.0 as usize].object));
+    part(faces, points, &parted);
     if !replaced.is_empty() {
         replace(faces, points, replaced);
     }
     result
 }
 
-/// Moves faces to their fronts, so far that rays can tell them from what they were in one plane with in a scene of these half edges
-/// and this radius. Neighbours move alike and keep what corners they share.
-fn part(faces: &mut [Face], points: &mut Vec<DVec3>, parted: &[u32], (extent, radius): (DVec3, f64)) {
+/// Area \[m^2\] and centroid \[m\] of each object.
+fn bulks(faces: &[Face], points: &[DVec3]) -> FxHashMap<u32, (f64, DVec3)> {
+    let mut bulks: FxHashMap<u32, (f64, DVec3)> = FxHashMap::default();
+    for f in faces {
+        let corners = corners(f, points);
+        let (area, moment) = bulks.entry(f.object).or_default();
+        *area += f.area;
+        *moment += f.area * corners.iter().sum::<DVec3>() / corners.len() as f64;
+    }
+    bulks.values_mut().for_each(|(area, moment)| *moment /= *area);
+    bulks
+}
+
+/// To which side of its plane a face goes that is back to back with others: 1 to its front, -1 to its back.
+///
+/// Where both sides reflect, the walls of a room may have been drawn with either one inside: the wall that two rooms have goes to where the
+/// rest of its own room lies. Where the front alone shows anything, and where nothing lies on either side, the front decides.
+fn gap_side(face: &Face, (area, centroid): (f64, DVec3), points: &[DVec3], by_bulk: bool) -> f64 {
+    let height = (centroid - points[face.vertices[0] as usize]).dot(face.normal);
+    if by_bulk && height < -1e-3 * area.sqrt() { -1.0 } else { 1.0 }
+}
+
+/// Moves faces. Neighbours that move alike keep what corners they share.
+fn part(faces: &mut [Face], points: &mut Vec<DVec3>, parted: &[(u32, DVec3)]) {
     let mut numbers: FxHashMap<(u32, [i32; 3]), u32> = FxHashMap::default();
-    for &k in parted {
+    for &(k, moved) in parted {
         let face = &mut faces[k as usize];
-        let n = face.normal;
-        let direction = n.to_array().map(|x| (1024.0 * x).round() as i32);
-        let moved = 2.0 * APART * (n.abs().dot(extent) + 2.0 * radius) * n;
+        let direction = moved.normalize().to_array().map(|x| (1024.0 * x).round() as i32);
         face.vertices = face.vertices.map(|v| {
             *numbers.entry((v, direction)).or_insert_with(|| {
                 points.push(points[v as usize] + moved);

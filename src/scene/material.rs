@@ -118,6 +118,11 @@ impl Material {
         self.specular_transmission != Rgb::ZERO
     }
 
+    /// Light goes through, to one side of a sheet from the other.
+    pub fn lets_through(&self) -> bool {
+        self.is_glass() || self.is_translucent()
+    }
+
     /// Is the surface of a body of another index than its surroundings: a window or a thin sheet is not.
     pub fn bends(&self) -> bool {
         self.is_glass() && !self.thin && self.ior != 1.0
