@@ -350,12 +350,16 @@ fn corners(face: &Face, points: &[DVec3]) -> Vec<DVec3> {
     face.vertices[..if face.is_triangle() { 3 } else { 4 }].iter().map(|&v| points[v as usize]).collect()
 }
 
+/// 1 or -1, the other one for the opposite normal.
+pub(super) fn sign(normal: DVec3) -> f64 {
+    // The first component that is clearly not zero decides.
+    normal.to_array().into_iter().find(|x| x.abs() > 1e-3).map_or(1.0, f64::signum)
+}
+
 /// The cell of a face's plane in a lattice; both orientations of a plane are one.
 fn plane_key(face: &Face, points: &[DVec3], center: DVec3, radius: f64) -> [i64; 4] {
     let n = face.normal;
-    // The first component that is clearly not zero decides.
-    let sign = n.to_array().into_iter().find(|x| x.abs() > 1e-3).map_or(1.0, f64::signum);
-    let n = n * sign;
+    let n = n * sign(n);
     let d = n.dot(points[face.vertices[0] as usize] - center) / radius.max(f64::MIN_POSITIVE);
     // The irrational shift keeps round numbers off the lattice's borders.
     let cell = |x: f64, size: f64| (x / size + 0.381_966_011_250_105).floor() as i64;

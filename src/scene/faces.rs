@@ -90,13 +90,6 @@ impl Seen {
     }
 }
 
-/// Which way a face looks, of its plane's two: the other one if its corners go round the other way.
-fn orientation(area: DVec3) -> usize {
-    let n = area.normalize_or_zero();
-    // The first component that is clearly not zero decides.
-    usize::from(n.to_array().into_iter().find(|x| x.abs() > 1e-3).is_some_and(|x| x < 0.0))
-}
-
 /// How often something happened, to which objects, and where first.
 #[derive(Debug, Default)]
 struct Tally {
@@ -184,7 +177,7 @@ impl Builder {
         let made =
             Made { object: numbers.objects[polygon.object as usize], material: numbers.material(polygon) };
         let one_sheet = materials[made.material as usize].is_alike_on_both_sides();
-        let side = orientation(polygon::area_vector(&points));
+        let side = usize::from(coplanar::sign(polygon::area_vector(&points).normalize_or_zero()) < 0.0);
         if !self.seen_polygons.entry(sorted).or_default().add(side, made, one_sheet) {
             self.duplicates.add(file, polygon);
             return Ok(());
@@ -207,7 +200,7 @@ impl Builder {
             key.sort_unstable();
             if self.seen_faces.entry(key).or_default().add(side, made, one_sheet) {
                 let normals = shading.as_ref().map(|s| corners.map(|c| s[c]));
-                self.face(file, numbers, polygon, face_vertices, normals);
+                self.face(file, polygon, made, face_vertices, normals);
             } else {
                 self.duplicates.add(file, polygon);
             }
@@ -249,16 +242,16 @@ impl Builder {
     fn face(
         &mut self,
         file: &ObjFile,
-        numbers: &Numbering,
         polygon: &Polygon,
+        made: Made,
         vertices: [u32; 4],
         normals: Option<[u32; 4]>,
     ) {
         let mut face = Face {
             vertices,
             normals,
-            object: numbers.objects[polygon.object as usize],
-            material: numbers.material(polygon),
+            object: made.object,
+            material: made.material,
             polygon: self.polygon_count,
             normal: DVec3::ZERO,
             area: 0.0,
