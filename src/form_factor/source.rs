@@ -61,8 +61,6 @@ pub(super) struct Lanes {
     y: [[f32; LANES]; 3],
     z: [[f32; LANES]; 3],
     triangle: [bool; LANES],
-    /// Some elements are triangles.
-    triangular: bool,
     /// Of elements that are no parallelograms.
     twist: Option<Twist>,
     shift: [[u32; LANES]; 4],
@@ -91,7 +89,6 @@ impl Lanes {
             y: none,
             z: none,
             triangle: [false; LANES],
-            triangular: false,
             twist: None,
             shift: [[0; LANES]; 4],
         };
@@ -122,7 +119,6 @@ impl Lanes {
                 lanes.z[c][k] = frame.z.as_vec3()[c];
             }
             lanes.triangle[k] = grid.is_triangle();
-            lanes.triangular |= grid.is_triangle();
             lanes.sources.push(Source { element, face, normal, area: mesh.area(element) });
         }
         debug_assert!(lanes.sources.len().is_power_of_two());
@@ -198,7 +194,7 @@ impl Lanes {
         }
         let mut rays = RayLanes { origin: [[0.0; LANES]; 3], direction: [[0.0; LANES]; 3] };
         let (mut s, mut t) = (p[0], p[1]);
-        if self.triangular {
+        if self.triangle.contains(&true) {
             for l in 0..LANES {
                 // [`crate::sampling::triangle`] without a branch.
                 let (u, v) = (p[0][l], p[1][l]);

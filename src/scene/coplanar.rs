@@ -184,17 +184,7 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
             let face = &faces[k as usize];
             let whole: Pieces =
                 vec![(corners(face, points), Made { object: face.object, material: face.material })];
-            let without = |mut pieces: Pieces, winners: &[u32]| -> Pieces {
-                for &w in winners {
-                    let cutter = flatten(face, &corners(&faces[w as usize], points));
-                    let outside = |(p, made): &(Vec<DVec3>, Made)| {
-                        let made = *made;
-                        subtract(face, p, &cutter).0.into_iter().map(move |p| (p, made))
-                    };
-                    pieces = pieces.iter().flat_map(outside).collect();
-                }
-                pieces
-            };
+            let without = |pieces, winners: &[u32]| left_of(pieces, (face, faces, points), winners);
             let (backs, others): (Vec<u32>, Vec<u32>) =
                 change.winners.iter().partition(|w| back_to_back(k, **w));
             let open = without(whole, &others);
@@ -204,14 +194,13 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
                 let by_bulk = materials[face.material as usize].is_alike_on_both_sides()
                     && backs.iter().all(|b| faces[*b as usize].object != face.object);
                 let bulk = bulk.get_or_insert_with(|| bulks(faces, points))[&face.object];
-                let moved = apart * gap_side(face, bulk, points, by_bulk) * face.normal;
+                let offset = apart * gap_side(face, bulk, points, by_bulk) * face.normal;
                 if others.is_empty() {
-                    parted.push((k, moved));
+                    parted.push((k, offset));
                 } else {
-                    let moved =
-                        |(p, made): (Vec<DVec3>, Made)| (p.iter().map(|q| *q + moved).collect(), made);
+                    let moved = |p: Vec<DVec3>| p.iter().map(|q| *q + offset).collect();
                     result.parted.push(face.object);
-                    replaced.push((k, open.into_iter().map(moved).collect()));
+                    replaced.push((k, open.into_iter().map(|(p, made)| (moved(p), made)).collect()));
                 }
                 continue;
             }
@@ -253,6 +242,17 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
         replace(faces, points, replaced);
     }
     result
+}
+
+/// What is left of pieces of a face without what it has in common with others.
+fn left_of(mut pieces: Pieces, (face, faces, points): (&Face, &[Face], &[DVec3]), others: &[u32]) -> Pieces {
+    for &other in others {
+        let cutter = flatten(face, &corners(&faces[other as usize], points));
+        let outside =
+            |(p, made): (Vec<DVec3>, Made)| subtract(face, &p, &cutter).0.into_iter().map(move |p| (p, made));
+        pieces = pieces.into_iter().flat_map(outside).collect();
+    }
+    pieces
 }
 
 /// Area \[m^2\] and centroid \[m\] of each object.

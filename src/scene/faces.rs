@@ -68,24 +68,29 @@ pub(super) fn build(
 }
 
 /// What a face is made of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct Made {
     pub object: u32,
     pub material: u32,
 }
 
-/// Faces with the same corners, by which way their fronts look.
+/// Faces with the same corners: what the first is made of, and bit k where a front looked to side k.
 #[derive(Debug, Default)]
-struct Seen([Option<Made>; 2]);
+struct Seen {
+    first: Made,
+    sides: u8,
+}
 
 impl Seen {
     /// Whether a face adds anything: none with its front on that side came before, and it is not what one surface of one material,
     /// `one_sheet`, shows on its other side.
-    fn add(&mut self, side: usize, made: Made, one_sheet: bool) -> bool {
-        if self.0[side].is_some() || one_sheet && self.0[1 - side] == Some(made) {
+    fn add(&mut self, side: u8, made: Made, one_sheet: bool) -> bool {
+        if self.sides == 0 {
+            self.first = made;
+        } else if self.sides >> side & 1 == 1 || one_sheet && self.first == made {
             return false;
         }
-        self.0[side] = Some(made);
+        self.sides |= 1 << side;
         true
     }
 }
@@ -177,7 +182,7 @@ impl Builder {
         let made =
             Made { object: numbers.objects[polygon.object as usize], material: numbers.material(polygon) };
         let one_sheet = materials[made.material as usize].is_alike_on_both_sides();
-        let side = usize::from(coplanar::sign(polygon::area_vector(&points).normalize_or_zero()) < 0.0);
+        let side = u8::from(coplanar::sign(polygon::area_vector(&points).normalize_or_zero()) < 0.0);
         if !self.seen_polygons.entry(sorted).or_default().add(side, made, one_sheet) {
             self.duplicates.add(file, polygon);
             return Ok(());
