@@ -420,3 +420,44 @@ fn factors_of_a_small_lamp_are_exact_beside_rays() {
     eprintln!("lamp off by {worst:.1e} at most, by rays {by_rays:.1e}; the rest {ratio:.4} as noisy");
     assert!(worst < 0.02 && by_rays > 0.5 && ratio < 1.001, "{worst} {by_rays} {ratio}");
 }
+
+/// By objects, factors found pair by pair and by hemisphere rays, and the standard error of both together, for elements of at most this
+/// size.
+fn both_ways(scene: &Scene, size: f64, rays: u32) -> impl Fn(&str, &str) -> (f64, f64, f64) {
+    let device = device();
+    let visibility = Visibility::new(&device, scene).expect("tree");
+    let mesh = Mesh::new(scene, &Sides::fronts(scene), size, true).expect("mesh");
+    let found = estimate(&visibility, &mesh, &request(rays, 1));
+    assert!(found.pairs().is_some_and(|p| p.len() > 64), "by cells");
+    let pairs = found.table(scene, &mesh, 0.0);
+    let rows = ObjectTable::new(scene, &mesh, found.rows().expect("hemisphere rays too"), 0.0);
+    move |from, to| {
+        let [i, j] = [from, to].map(|name| pairs.objects.iter().position(|o| o == name).expect("an object"));
+        let (f, g) = (pairs.form_factors[i][j], rows.form_factors[i][j]);
+        (f, g, pairs.standard_errors[i][j].hypot(rows.standard_errors[i][j]))
+    }
+}
+
+/// A plate that looks out of a box without a lid, and a shelf and a board that reach into a closed one: what lies within a body is not
+/// hidden by it. The pairs agree with hemisphere rays within [`T15`] errors of both.
+#[test]
+fn what_lies_within_a_body_sees() {
+    let body = |at: Point, lid: bool| -> Vec<Vec<Point>> {
+        let faces = box_faces(at, [1.0; 3], false).into_iter().map(|f| f.1);
+        faces.filter(|f| lid || f.iter().any(|p| p[2] < at[2] + 0.5)).collect()
+    };
+    let scene = scene(&[
+        ("open", body([0.0; 3], false)),
+        ("deep", vec![vec![[0.1, 0.1, 0.5], [0.9, 0.1, 0.5], [0.9, 0.9, 0.5], [0.1, 0.9, 0.5]]]),
+        ("ceiling", vec![vec![[-1.0, -1.0, 2.5], [-1.0, 2.0, 2.5], [2.0, 2.0, 2.5], [2.0, -1.0, 2.5]]]),
+        ("closed", body([9.0, 0.0, 0.0], true)),
+        ("shelf", vec![vec![[8.5, 0.2, 0.5], [9.8, 0.2, 0.5], [9.8, 0.8, 0.5], [8.5, 0.8, 0.5]]]),
+        ("board", vec![vec![[9.8, 0.2, 0.5], [9.8, 0.2, 1.5], [9.8, 0.8, 1.5], [9.8, 0.8, 0.5]]]),
+    ]);
+    let factor = both_ways(&scene, 0.25, 8192);
+    for (from, to) in [("deep", "ceiling"), ("ceiling", "deep"), ("shelf", "board"), ("board", "shelf")] {
+        let (f, g, error) = factor(from, to);
+        eprintln!("{from} to {to}: {f:.5} by pairs, {g:.5} by hemisphere rays, +- {error:.1e}");
+        assert!((f - g).abs() <= T15 * error && error < 0.03 * g);
+    }
+}

@@ -3,7 +3,7 @@
 use super::merge::{Surfaces, edge_key};
 use super::ring::Cover;
 use super::shaft::blocks_all;
-use crate::form_factor::analytic::Polygon;
+use crate::form_factor::analytic::{Cut, Polygon};
 use glam::DVec3;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -117,7 +117,8 @@ struct Edge {
 
 impl Body {
     /// The bodies of a scene: surfaces that hang together by their edges, lie behind each other's planes,
-    /// and leave open edges in one plane only. Other surfaces are bodies each. The largest come first.
+    /// and leave open edges in one plane only, unless something within them sees. Other surfaces are bodies each. The
+    /// largest come first.
     pub fn all(surfaces: &Surfaces) -> Vec<Body> {
         let polygons = &surfaces.polygons;
         let mut by_edge = BTreeMap::<_, Vec<usize>>::new();
@@ -143,7 +144,7 @@ impl Body {
                 }
                 next += 1;
             }
-            match Body::solid(&group, polygons, surfaces.eps) {
+            match Body::solid(&group, polygons, surfaces.eps).filter(|body| !body.is_inhabited(polygons)) {
                 Some(body) => bodies.push(body),
                 None => bodies.extend(group.iter().map(|f| Body::single(*f, &polygons[*f], surfaces.eps))),
             }
@@ -224,6 +225,24 @@ impl Body {
             planes,
             eps,
         })
+    }
+
+    /// Whether something within it may see out, or something else within: through an open plane one surface is enough, in a
+    /// closed body it takes two.
+    fn is_inhabited(&self, polygons: &[Polygon]) -> bool {
+        let is_within = |polygon: &&Polygon| {
+            let mut rest = **polygon;
+            self.planes.iter().all(|(o, n)| match rest.before(*o - 2.0 * self.eps * *n, -*n) {
+                Cut::All => true,
+                Cut::Nothing => false,
+                Cut::Part(part) => {
+                    rest = part;
+                    true
+                }
+            })
+        };
+        let open = self.planes.len() > self.surfaces.len();
+        polygons.iter().filter(is_within).nth(usize::from(!open)).is_some()
     }
 
     /// Numbers of the surfaces that it consists of.
@@ -402,7 +421,6 @@ impl Body {
 
     /// The parts of an element's polygon that the body, which may stand on it, leaves open.
     pub fn uncovered(&self, polygon: &Polygon, open: &mut Vec<Polygon>) {
-        use crate::form_factor::analytic::Cut;
         let on = |(o, n): &(DVec3, DVec3)| {
             n.dot(polygon.normal) < -0.999
                 && polygon.corners().iter().all(|c| (*c - *o).dot(*n).abs() <= self.eps)

@@ -3,7 +3,8 @@
 //! Three things are certain without sampling: elements that face away from each other or lie in one plane
 //! have no factor; where a plane parts every body from both elements, their factor is the
 //! unoccluded one; where one convex body cuts every segment, it is zero. Faces that continue each other
-//! count as one, and faces that enclose a convex body as that body, unless elements lie on its inside.
+//! count as one, and faces that enclose a convex body as that body, unless elements lie on its inside or other faces
+//! within it.
 //!
 //! Where few bodies lie between two of many elements, `cells` integrates what one element sees of the other. For other
 //! pairs points are spread over one element, and what each sees of the other element is weighted by the kernel:
