@@ -461,3 +461,22 @@ fn what_lies_within_a_body_sees() {
         assert!((f - g).abs() <= T15 * error && error < 0.03 * g);
     }
 }
+
+/// A ground with 81 boxes on it that cover a third of it, under a sky: of so many bodies points must do, and what the boxes stand on sees
+/// nothing. The pairs agree with hemisphere rays within [`T15`] errors of both.
+#[test]
+fn many_bodies_stand_on_one_element() {
+    let bodies = (0..81).flat_map(|k| {
+        box_faces([f64::from(k % 9) + 0.2, f64::from(k / 9) + 0.2, 0.0], [0.6, 0.6, 0.25], false)
+    });
+    let boxes = bodies.map(|f| f.1).filter(|f| f.iter().any(|p| p[2] > 0.0)).collect();
+    let ground =
+        |z: f64, up: bool| vec![square(z, up).into_iter().map(|[x, y, z]| [9.0 * x, 9.0 * y, z]).collect()];
+    let scene = scene(&[("ground", ground(0.0, true)), ("sky", ground(5.0, false)), ("boxes", boxes)]);
+    let factor = both_ways(&scene, 1e9, 1 << 17);
+    for (from, to) in [("ground", "sky"), ("sky", "ground")] {
+        let (f, g, error) = factor(from, to);
+        eprintln!("{from} to {to}: {f:.5} by pairs, {g:.5} by hemisphere rays, +- {error:.1e}");
+        assert!((f - g).abs() <= T15 * error && error < 0.03 * g);
+    }
+}

@@ -418,8 +418,17 @@ impl Element {
         self.open = (!whole).then_some(open);
     }
 
-    fn parts(&self) -> &[Polygon] {
-        self.open.as_deref().unwrap_or(std::slice::from_ref(&self.polygon))
+    /// How many parts no body stands on, one at least.
+    fn pieces(&self) -> usize {
+        self.open.as_ref().map_or(1, |open| open.len().max(1))
+    }
+
+    /// What no body stands on; all of it, if wanted, where that is something.
+    fn parts(&self, all: bool) -> &[Polygon] {
+        match &self.open {
+            Some(open) if !all || open.is_empty() => open,
+            _ => std::slice::from_ref(&self.polygon),
+        }
     }
 }
 

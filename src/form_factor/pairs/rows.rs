@@ -107,7 +107,11 @@ impl Shared<'_, '_> {
             let (by_batch, unseen, certain) = &mut sums[b.object as usize];
             let averted = a.surface == b.surface || self.between(i, j).is_some_and(|between| between.averted);
             let (mut exchange, mut variance, mut met) = (0.0, 0.0, false);
-            for (pa, pb) in a.parts().iter().flat_map(|pa| b.parts().iter().map(move |pb| (pa, pb))) {
+            // Points lie all over elements: to them, what a body stands on is hidden like the rest of what it hides.
+            let partly = a.open.is_some() || b.open.is_some();
+            let by_points = partly && self.bodies_between(scratch, (i, j), &b.polygon).is_none();
+            let (of_a, of_b) = (a.parts(by_points), b.parts(by_points));
+            for (pa, pb) in of_a.iter().flat_map(|pa| of_b.iter().map(move |pb| (pa, pb))) {
                 if averted {
                     continue;
                 }
@@ -208,15 +212,13 @@ impl Shared<'_, '_> {
         self.between.get(f.min(g) * self.sides + f.max(g))
     }
 
-    /// The same as [`Shared::pair`] from bodies; none where too many of them lie between.
-    fn by_cells(
+    /// Bodies that may come between element i and a polygon of element j; none where they are too many for cells.
+    fn bodies_between(
         &self,
         scratch: &mut Scratch,
         (i, j): (usize, usize),
-        (pa, pb): (&Polygon, &Polygon),
-        relative: f64,
-        row: &mut Row,
-    ) -> Option<(f64, Option<Estimate>)> {
+        pb: &Polygon,
+    ) -> Option<Vec<&Body>> {
         let mut between: Vec<&Body> = Vec::new();
         for k in self.between(i, j).map_or(&[][..], |between| &between.bodies) {
             let body = &self.bodies[*k as usize];
@@ -234,6 +236,19 @@ impl Shared<'_, '_> {
             }
             between.push(body);
         }
+        Some(between)
+    }
+
+    /// The same as [`Shared::pair`] from bodies; none where too many of them lie between.
+    fn by_cells(
+        &self,
+        scratch: &mut Scratch,
+        (i, j): (usize, usize),
+        (pa, pb): (&Polygon, &Polygon),
+        relative: f64,
+        row: &mut Row,
+    ) -> Option<(f64, Option<Estimate>)> {
+        let between = self.bodies_between(scratch, (i, j), pb)?;
         if between.iter().any(|body| body.hides(pa, pb)) {
             row.counts.hidden += 1;
             return Some((0.0, None));
@@ -280,7 +295,9 @@ impl Shared<'_, '_> {
         let mut sums = [(0.0, 0.0); BATCHES];
         let batches = self.work.batches;
         let mut values = [(0.0, 0.0); BATCHES];
-        let (mut done, mut goal) = (0, self.work.points.max(1) as usize);
+        // Of an element in many pieces much is covered, and more points must tell what is not.
+        let pieces = self.elements[a].pieces() * self.elements[b].pieces();
+        let (mut done, mut goal) = (0, (self.work.points.max(1) as usize * pieces).min(MOST_POINTS as usize));
         let largest = full / self.elements[a].area.min(self.elements[b].area);
         loop {
             self.extend(scratch, i, goal);
