@@ -480,3 +480,25 @@ fn many_bodies_stand_on_one_element() {
         assert!((f - g).abs() <= T15 * error && error < 0.03 * g);
     }
 }
+
+/// A drum without a bottom stands on one element with sixty sides, and leaves of it what has as many corners. The pairs agree with
+/// hemisphere rays within [`T15`] errors of both and a thousandth.
+#[test]
+fn a_body_of_many_sides_stands_on_one_element() {
+    const SIDES: usize = 60;
+    let corner = |k: usize, z: f64| {
+        let (sin, cos) = (std::f64::consts::TAU * (k % SIDES) as f64 / SIDES as f64).sin_cos();
+        [0.5 + 0.3 * cos, 0.5 + 0.3 * sin, z]
+    };
+    let side = |k: usize| vec![corner(k, 0.0), corner(k + 1, 0.0), corner(k + 1, 0.25), corner(k, 0.25)];
+    let top = |k: usize| vec![corner(0, 0.25), corner(k, 0.25), corner(k + 1, 0.25)];
+    let drum = (0..SIDES).map(side).chain((1..SIDES - 1).map(top)).collect();
+    let scene =
+        scene(&[("floor", vec![square(0.0, true)]), ("ceiling", vec![square(0.5, false)]), ("drum", drum)]);
+    let factor = both_ways(&scene, 1e9, 1 << 16);
+    for (from, to) in [("floor", "ceiling"), ("floor", "drum"), ("drum", "floor")] {
+        let (f, g, error) = factor(from, to);
+        eprintln!("{from} to {to}: {f:.5} by pairs, {g:.5} by hemisphere rays, +- {error:.1e}");
+        assert!((f - g).abs() <= T15 * error + 1e-3 * g && error < 0.01 * g);
+    }
+}

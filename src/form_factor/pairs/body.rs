@@ -1,7 +1,7 @@
 //! Convex bodies made of surfaces: what hides elements from each other.
 
 use super::merge::{Surfaces, edge_key};
-use super::ring::Cover;
+use super::ring::{Cover, Ring, behind};
 use super::shaft::blocks_all;
 use crate::form_factor::analytic::{Cut, Polygon};
 use glam::DVec3;
@@ -425,28 +425,28 @@ impl Body {
             n.dot(polygon.normal) < -0.999
                 && polygon.corners().iter().all(|c| (*c - *o).dot(*n).abs() <= self.eps)
         };
-        let first = open.len();
-        let mut rest = *polygon;
-        if self.flat.is_none() && self.planes.iter().any(on) {
-            for (o, n) in self.planes.iter().filter(|p| !on(p)) {
-                if !rest.reaches_before(*o, *n, self.eps) {
-                    continue;
-                }
-                match (rest.before(*o, *n), rest.before(*o, -*n)) {
-                    (Cut::Part(out), Cut::Part(within)) => {
-                        open.push(out);
-                        rest = within;
-                    }
-                    _ => {
-                        // Nothing is covered: the whole polygon stays in one piece.
-                        open.truncate(first);
-                        open.push(*polygon);
-                        return;
-                    }
-                }
-            }
+        if self.flat.is_some() || !self.planes.iter().any(on) {
+            open.push(*polygon);
             return;
         }
-        open.push(*polygon);
+        let first = open.len();
+        // What is covered may have as many corners as the body sides.
+        let [mut rest, mut out, mut within] = [Ring::default(), Ring::default(), Ring::default()];
+        rest.set(polygon.corners());
+        for (o, n) in self.planes.iter().filter(|p| !on(p)) {
+            if !rest.corners().iter().any(|c| (*c - *o).dot(*n) > self.eps) {
+                continue;
+            }
+            behind(rest.corners(), *o, -*n, &mut out);
+            behind(rest.corners(), *o, *n, &mut within);
+            if out.corners().len() < 3 || within.corners().len() < 3 {
+                // Nothing is covered: the whole polygon stays in one piece.
+                open.truncate(first);
+                open.push(*polygon);
+                return;
+            }
+            out.fan(polygon.normal, open);
+            std::mem::swap(&mut rest, &mut within);
+        }
     }
 }

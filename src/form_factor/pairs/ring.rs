@@ -1,5 +1,6 @@
 //! Convex polygons clipped by shadows, in buffers that are used again.
 
+use crate::form_factor::analytic::{MOST_CORNERS, Polygon};
 use glam::DVec3;
 
 /// Half-spaces that make one shadow: a point of each border and its outward direction.
@@ -122,6 +123,18 @@ impl Rings {
 impl Ring {
     pub fn corners(&self) -> &[DVec3] {
         &self.0
+    }
+
+    /// Adds it to `polygons`, in as many as its corners take.
+    pub fn fan(&self, normal: DVec3, polygons: &mut Vec<Polygon>) {
+        let Some((first, others)) = self.0.split_first() else { return };
+        let mut begin = 0;
+        while begin + 1 < others.len() {
+            let end = others.len().min(begin + MOST_CORNERS - 1);
+            let corners: Vec<DVec3> = std::iter::once(first).chain(&others[begin..end]).copied().collect();
+            polygons.push(Polygon::new(&corners, normal));
+            begin = end - 1;
+        }
     }
 
     pub fn set(&mut self, corners: &[DVec3]) {
