@@ -130,6 +130,10 @@ pub fn visible<'a>(
     pieces: &mut Pieces,
 ) -> (f64, f64) {
     let whole = seen.factor(viewer, normal, seen.polygon);
+    if whole <= 0.0 {
+        // On the plane of the polygon but for rounding, where both touch.
+        return (0.0, 0.0);
+    }
     let Pieces(lit, next) = pieces;
     lit.clear();
     for shadow in shadows {
@@ -153,4 +157,31 @@ pub fn visible<'a>(
     }
     let part: f64 = lit.iter().map(|p| seen.factor(viewer, normal, p)).sum();
     (part.clamp(0.0, whole), whole)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DMat3;
+
+    /// A point in the plane of a polygon sees nothing of it; rounding may say less than nothing.
+    #[test]
+    fn a_polygon_seen_from_its_own_plane() {
+        let turn = DMat3::from_axis_angle(DVec3::new(1.0, 2.0, 3.0).normalize(), 0.7);
+        let polygon = |corners: [[f64; 3]; 4], normal: DVec3| {
+            Polygon::new(&corners.map(|c| turn * DVec3::from(c)), turn * normal)
+        };
+        let floor = [[1.0, -1.0, 0.0], [2.0, -1.0, 0.0], [2.0, 1.0, 0.0], [1.0, 1.0, 0.0]];
+        let post = [[0.5, -0.1, -1.0], [0.5, 0.1, -1.0], [0.5, 0.1, 1.0], [0.5, -0.1, 1.0]];
+        let (floor, post) = (polygon(floor, DVec3::Z), polygon(post, DVec3::X));
+        let seen = Seen { polygon: &floor, small: false };
+        let mut pieces = Pieces::default();
+        for k in 0..1000 {
+            let (y, z) = (f64::from(k) / 1000.0 - 0.5, 1e-17 * f64::from(k % 7));
+            let viewer = turn * DVec3::new(-0.3 * y, y, z);
+            let shadow = Shadow::new(viewer, &post);
+            let (part, whole) = visible(viewer, turn * DVec3::X, &seen, [&shadow].into_iter(), &mut pieces);
+            assert!((0.0..1e-15).contains(&whole) && (0.0..=whole).contains(&part), "{part} of {whole}");
+        }
+    }
 }
