@@ -21,7 +21,7 @@ const LARGEST_COORDINATE: f32 = 1.8e18;
 pub struct CommittedScene {
     scene: NonNull<sys::RTCSceneTy>,
     triangle_count: u32,
-    /// What coordinates are multiplied by on their way to Embree: 1 but for tiny scenes.
+    /// What coordinates are multiplied by on their way to Embree: 1 but for tiny and huge scenes.
     scale: f32,
     /// Declared after what `drop` releases: Embree's device goes last.
     _device: Device,
@@ -205,15 +205,20 @@ impl CommittedScene {
     }
 }
 
-/// Embree takes (u, v) as 0 where twice a face's area is below 1e-18: scenes smaller than a centimetre
-/// grow to a kilometre, by a power of two, which changes no digit.
+/// Embree takes (u, v) as 0 where twice a face's area is below 1e-18, and multiplies three lengths, which single precision holds up
+/// to 7e12. Scenes smaller than a centimetre grow to a kilometre, those larger than 2^33 shrink to that, by a power of two, which
+/// changes no digit.
 fn scale_of(vertices: &[[f32; 3]]) -> f32 {
     let largest = vertices.iter().flatten().fold(0f32, |m, x| m.max(x.abs()));
-    if largest >= 1.0 / 128.0 || largest == 0.0 {
-        return 1.0;
+    let exponent = largest.log2().floor();
+    if exponent > 32.0 {
+        (32.0 - exponent).exp2()
+    } else if largest >= 1.0 / 128.0 || largest == 0.0 {
+        1.0
+    } else {
+        // Beyond 2^120 the scale itself would leave the range of single precision.
+        (10.0 - exponent).min(120.0).exp2()
     }
-    // Beyond 2^120 the scale itself would leave the range of single precision.
-    (10.0 - largest.log2().floor()).min(120.0).exp2()
 }
 
 /// Copies `items` into a new buffer of the geometry; false where Embree gives none.

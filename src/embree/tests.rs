@@ -290,3 +290,33 @@ fn rays_from_far_beyond_a_tiny_scene_meet_nothing() {
     assert!((0..LANES).all(|lane| packet.hit(lane).is_none()));
     assert_eq!(scene.occluded16(&mut shadow, true), 0);
 }
+
+/// Scenes of up to the largest coordinates give what a small one gives, times a power of two.
+#[test]
+fn huge_scenes_are_hit_as_small_ones() {
+    let mut numbers = Numbers(5);
+    let (vertices, triangles, quads) = room(200, &mut numbers);
+    let device = Device::new(1).expect("Embree");
+    let rays: Vec<Ray> = (0..2000).map(|_| Ray::new(numbers.direction(), numbers.direction())).collect();
+    let hits = |exponent: i32| -> Vec<Option<Hit>> {
+        let scale = 2f32.powi(exponent);
+        let vertices: Vec<[f32; 3]> = vertices.iter().map(|v| v.map(|x| x * scale)).collect();
+        let scene = CommittedScene::new(&device, &vertices, &triangles, &quads).expect("a tree");
+        let hit = |ray: &Ray| {
+            let ray = Ray { origin: ray.origin * scale, ..*ray };
+            let hit = scene.intersect(&ray);
+            let mut packet = RayPacket::new();
+            packet.set(3, &ray);
+            scene.intersect16(&mut packet, false);
+            assert_eq!(packet.hit(3).is_some(), hit.is_some());
+            assert_eq!(scene.occluded(&ray), hit.is_some());
+            hit.map(|hit| Hit { t: hit.t / scale, ..hit })
+        };
+        rays.iter().map(hit).collect()
+    };
+    let expected = hits(0);
+    assert!(expected.iter().all(Option::is_some));
+    for exponent in [30, 31, 42, 48, 57] {
+        assert!(hits(exponent) == expected, "2^{exponent}");
+    }
+}
