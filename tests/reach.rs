@@ -252,3 +252,15 @@ fn covered_floor_does_not_darken_the_cells_beside_the_box() {
     let (inside, _) = radiosity_in(&whole, &results[0], [0.4, -1e-9, 0.4], [0.6, 1e-9, 0.6]);
     assert_eq!(inside, 0.0);
 }
+
+/// Seen from outside, a closed room is dark for certain: that is no doubt that more rays would mend.
+#[test]
+fn the_dark_outside_of_a_room_is_not_uncertain() {
+    let mut scene = Obj::room().scene();
+    scene.cameras[0].origin = DVec3::new(3.0, 3.0, 3.0);
+    let result = solve(&scene, 256, 0.2);
+    let outside = |front: bool| result.solution.objects.iter().find(|o| o.name == "room" && o.front == front);
+    assert!(outside(true).is_some_and(|o| o.radiosity.x > 0.1));
+    assert!(outside(false).is_some_and(|o| o.radiosity.x == 0.0 && o.standard_error.x > 0.0));
+    assert!(!result.warnings.iter().any(|w| w.contains("uncertain")), "{:?}", result.warnings);
+}
