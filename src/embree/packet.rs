@@ -91,7 +91,7 @@ impl RayLanes {
 /// What the rays of a packet met.
 #[derive(Debug, Clone, Copy)]
 pub struct Hits {
-    /// Face, `u32::MAX` for a miss and for an inactive lane.
+    /// Face, or what stands for none, of a miss and of an inactive lane.
     pub face: [u32; LANES],
     /// First coordinate on the face; without meaning where there is none.
     pub u: [f32; LANES],
@@ -180,16 +180,16 @@ impl RayPacket {
         (origin, Vec3::new(r.dir_x[lane], r.dir_y[lane], r.dir_z[lane]))
     }
 
-    /// The hits of all lanes.
+    /// The hits of all lanes; `none` stands for the face of those that met nothing.
     #[inline(always)]
-    pub fn hits(&self) -> Hits {
+    pub fn hits(&self, none: u32) -> Hits {
         let (ray, hit) = (&self.query.ray, &self.query.hit);
-        let mut hits = Hits { face: [MISS; LANES], u: hit.u, v: hit.v, cosine: [0.0; LANES] };
+        let mut hits = Hits { face: [none; LANES], u: hit.u, v: hit.v, cosine: [0.0; LANES] };
         for l in 0..LANES {
             // No branches: all lanes at once.
             let found = (self.valid.0[l] != 0) & (hit.geomID[l] != MISS);
             let (met, second) = face_of(hit.primID[l], self.triangle_count);
-            hits.face[l] = if found { met } else { MISS };
+            hits.face[l] = if found { met } else { none };
             (hits.u[l], hits.v[l]) = (turned(hit.u[l], second), turned(hit.v[l], second));
             hits.cosine[l] =
                 hit.Ng_x[l] * ray.dir_x[l] + hit.Ng_y[l] * ray.dir_y[l] + hit.Ng_z[l] * ray.dir_z[l];

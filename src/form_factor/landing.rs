@@ -81,10 +81,16 @@ impl Targets {
         Landing { column, kind: face.kind[side], front: side == 0 }
     }
 
+    /// The face that stands for none in the hits of packets.
+    #[inline(always)]
+    pub(super) fn none(&self) -> u32 {
+        self.0.none()
+    }
+
     /// Where the rays of a packet landed.
     #[inline(always)]
     pub(super) fn landings<S: Simd>(&self, simd: S, hits: &Hits) -> Landings {
         let sides = self.0.lanes(simd, hits);
-        Landings { column: sides.cells(), kind: sides.kind }
+        Landings { column: sides.cells(simd), kind: sides.kind }
     }
 }

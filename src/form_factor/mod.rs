@@ -8,6 +8,7 @@ mod found;
 mod gathered;
 mod hemicube;
 mod immersed;
+mod landed;
 mod landing;
 mod matrix;
 mod mirror;

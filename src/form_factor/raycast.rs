@@ -12,6 +12,7 @@ mod tests;
 
 use super::gathered::{EmitterRows, EmitterWork, add_batch};
 use super::immersed::{Immersed, settle};
+use super::landed::{Landed, POINTS};
 use super::landing::{ABSORBED, EMITTER, ESCAPED, SPECULAR, Targets, UNREACHED};
 use super::matrix::{ExchangeMatrix, RowSummary};
 use super::rows::{Block, Builder};
@@ -144,8 +145,7 @@ struct Cast {
 struct Scratch {
     packet: RayPacket,
     points: ScrambledPoints,
-    /// Where each ray of a group landed, by (randomisation, element, ray); [`NONE`] where no element is.
-    landed: Vec<u32>,
+    landed: Landed,
     /// What chains brought: (element of the group, randomisation), column, weight.
     chained: Vec<((u32, u32), u32, [f32; 3])>,
     tally: Tally,
@@ -173,7 +173,11 @@ impl WithSimd for Packets<'_, '_, '_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        self.caster.packets(simd, self.scratch, self.lanes, self.offset, self.batch);
+        let Packets { caster, scratch, lanes, offset, batch } = self;
+        match lanes.points_a_packet() {
+            1 => caster.packets::<S, true>(simd, scratch, lanes, offset, batch),
+            _ => caster.packets::<S, false>(simd, scratch, lanes, offset, batch),
+        }
     }
 }
 
@@ -269,7 +273,7 @@ impl<'a, 's> Caster<'a, 's> {
         Scratch {
             packet: RayPacket::new(),
             points: ScrambledPoints::default(),
-            landed: Vec::new(),
+            landed: Landed::default(),
             chained: Vec::new(),
             tally: Tally::new(self.channels),
             counts: Counts::new(self.mesh.len()),
@@ -318,8 +322,7 @@ impl<'a, 's> Caster<'a, 's> {
     /// Casts the rays of elements of a group, all randomisations, into the buffers.
     fn group(&self, scratch: &mut Scratch, first: u32, elements: &[u32]) {
         let (m, batches) = (elements.len(), self.batches as usize);
-        scratch.landed.clear();
-        scratch.landed.resize(self.stride() * m * batches, NONE);
+        scratch.landed.start(shared(m, &self.table), self.table.len(), batches);
         scratch.chained.clear();
         scratch.fates.clear();
         scratch.fates.resize(m * batches, Fate::default());
@@ -337,54 +340,75 @@ impl<'a, 's> Caster<'a, 's> {
         scratch.chained.sort_by_key(|c| c.0);
     }
 
-    /// Casts one randomisation of a part of a group, which begins at element `offset` of it.
+    /// Casts one randomisation of a part of a group, which begins at element `offset` of it. `WHOLE`: the part fills packets with one
+    /// point each.
     #[inline(always)]
-    fn packets<S: Simd>(&self, simd: S, scratch: &mut Scratch, lanes: &Lanes, offset: usize, batch: u32) {
-        let (n, stride) = (self.table.len(), self.stride());
+    fn packets<S: Simd, const WHOLE: bool>(
+        &self,
+        simd: S,
+        scratch: &mut Scratch,
+        lanes: &Lanes,
+        offset: usize,
+        batch: u32,
+    ) {
+        let n = self.table.len();
         let first = self.place(scratch, offset, batch);
-        let landed = first * stride;
         scratch.cast += (n * lanes.sources.len()) as u64;
-        let step = lanes.points_a_packet();
+        let step = if WHOLE { 1 } else { lanes.points_a_packet() };
         let whole = lanes.active(step);
-        // By lane: where the element's rays go, its face, and how many of its rays met nothing or were absorbed.
-        let place = |l: usize| lanes.place(l);
-        let own: [usize; LANES] = std::array::from_fn(|l| landed + place(l).0 * stride + place(l).1);
-        let face: [u32; LANES] = std::array::from_fn(|l| lanes.sources[place(l).0].face);
+        let part = offset..offset + lanes.sources.len();
+        // By lane: where in a tile its rays go, the element's face, and how many of its rays met nothing or were absorbed.
+        let (mut own, mut face) = ([0; LANES], [0; LANES]);
+        for l in 0..LANES {
+            let (k, point) = lanes.place(l);
+            (own[l], face[l]) = (k * POINTS + point, lanes.sources[k].face);
+        }
         let (mut escaped, mut absorbed) = ([0u32; LANES], [0u32; LANES]);
+        let none = self.targets.none();
         for base in (0..n).step_by(step) {
-            let rays = lanes.rays(&scratch.points, base);
+            let rays = lanes.rays::<WHOLE>(&scratch.points, base);
             let active = if n - base >= step { whole } else { lanes.active(n - base) };
             scratch.packet.fill(&rays, active);
             self.visibility.closest16(&mut scratch.packet, true);
-            let hits = scratch.packet.hits();
+            let hits = scratch.packet.hits(none);
             let landings = self.targets.landings(simd, &hits);
-            let mut other = [false; LANES];
+            // No closures here: they would not be compiled for the wider registers.
+            let (mut other, mut any) = ([0; LANES], 0);
             for l in 0..LANES {
-                let is = |kinds: u8| landings.kind[l] & u32::from(kinds) != 0;
-                escaped[l] += u32::from(is(ESCAPED));
-                other[l] = is(EMITTER | SPECULAR | UNREACHED) | (hits.face[l] == face[l]);
-                absorbed[l] += u32::from(is(ABSORBED) & !other[l]);
+                let kind = landings.kind[l];
+                escaped[l] += u32::from(kind & u32::from(ESCAPED) != 0);
+                let own = u32::from(hits.face[l] == face[l]);
+                other[l] = kind & u32::from(EMITTER | SPECULAR | UNREACHED) | own;
+                let ends = if other[l] == 0 { kind } else { 0 };
+                absorbed[l] += u32::from(ends & u32::from(ABSORBED) != 0);
             }
-            if active == u16::MAX && other == [false; LANES] {
-                for (own, column) in own.iter().zip(landings.column) {
-                    scratch.landed[own + base] = column;
+            for other in other {
+                any |= other;
+            }
+            if active == u16::MAX && any == 0 {
+                let tile = scratch.landed.tile(batch as usize, &part, base);
+                let tile = &mut tile[..LANES / step * POINTS];
+                for l in 0..LANES {
+                    let own = if WHOLE { l * POINTS } else { own[l] };
+                    tile[own + base % POINTS] = landings.column[l];
                 }
                 continue;
             }
             for l in 0..LANES {
+                let (k, point) = lanes.place(l);
                 if active >> l & 1 == 0 {
                     escaped[l] -= 1;
-                } else if other[l] {
-                    let (k, point) = place(l);
-                    let at = (offset + k, batch, (base + point) as u32);
-                    self.beyond(scratch, &lanes.sources[k], at, l);
-                } else {
-                    scratch.landed[own[l] + base] = landings.column[l];
+                    continue;
+                }
+                let column = if other[l] == 0 { landings.column[l] } else { NONE };
+                scratch.landed.set(batch as usize, offset + k, base + point, column);
+                if other[l] != 0 {
+                    self.beyond(scratch, &lanes.sources[k], (offset + k, batch, (base + point) as u32), l);
                 }
             }
         }
         for l in 0..LANES {
-            let fate = &mut scratch.fates[first + place(l).0];
+            let fate = &mut scratch.fates[first + lanes.place(l).0];
             fate.escaped += escaped[l];
             fate.absorbed += absorbed[l];
         }
@@ -393,12 +417,6 @@ impl<'a, 's> Caster<'a, 's> {
     /// Where an element of a group stands among all, in one randomisation.
     fn place(&self, scratch: &Scratch, k: usize, batch: u32) -> usize {
         batch as usize * (scratch.fates.len() / self.batches as usize) + k
-    }
-
-    /// Places of one row and randomisation in [`Scratch::landed`]. Were it a power of two, the same ray of the 16 elements of a
-    /// group would fall on the same lines of the processor's first cache.
-    fn stride(&self) -> usize {
-        self.table.len() + LANES
     }
 
     /// Adds up the row of the `k`-th element of a group, and what light its rays found.
@@ -423,7 +441,7 @@ impl<'a, 's> Caster<'a, 's> {
                 let emitted = fate.emitted * (scale / n as f64);
                 add_batch(&mut mean[*at], &mut total[*at * batches + batch as usize], emitted, batches);
             }
-            self.factors(scratch, (k as u32, batch), place, scale);
+            self.factors(scratch, (k as u32, batch), scale);
         }
         let total = u64::from(self.rays_per_row());
         let open = total - u64::from(covered);
@@ -437,21 +455,25 @@ impl<'a, 's> Caster<'a, 's> {
     }
 
     /// Adds one randomisation to a row: what each of its rays counts is `scale`.
-    fn factors(&self, scratch: &mut Scratch, at: (u32, u32), place: usize, scale: Rgb) {
-        let landed = &scratch.landed[place * self.stride()..][..self.table.len()];
+    fn factors(&self, scratch: &mut Scratch, at: (u32, u32), scale: Rgb) {
+        let (landed, rays) = (scratch.landed.row(at.1 as usize, at.0 as usize), scratch.landed.row_len());
         let builder = &mut scratch.builder;
         let first = scratch.chained.partition_point(|c| c.0 < at);
         let chained = || scratch.chained[first..].iter().take_while(|c| c.0 == at);
         let scale = scale.as_vec3().to_array();
         if let (Some(counts), None) = (&mut scratch.counts, chained().next()) {
-            counts.count(landed, |column, count| match self.casting.specular {
-                AtSpecular::End => builder.push_count(column, count),
-                _ => builder.push(column, &scale.map(|s| s * count as f32)[..self.channels]),
-            });
+            if self.casting.specular == AtSpecular::End {
+                let (met, counts) = counts.count(landed, rays);
+                builder.push_counts(met, counts.len() as u32 - 1, counts);
+            } else {
+                counts.each(landed, rays, |column, count| {
+                    builder.push(column, &scale.map(|s| s * count as f32)[..self.channels]);
+                });
+            }
             builder.end_batch();
             return;
         }
-        for &column in landed.iter().filter(|c| **c != NONE) {
+        for &column in landed.flatten().filter(|c| **c != NONE) {
             scratch.tally.add(column, &scale[..self.channels]);
         }
         for (_, column, weight) in chained() {
@@ -470,7 +492,7 @@ impl<'a, 's> Caster<'a, 's> {
         if inside == 0 {
             return None;
         }
-        let landed = places().flat_map(|place| &scratch.landed[place * self.stride()..][..self.table.len()]);
+        let landed = (0..self.batches).flat_map(|batch| scratch.landed.row(batch as usize, k).flatten());
         let mut landed: Vec<u32> = landed.copied().filter(|c| *c != NONE).collect();
         landed.sort_unstable();
         let open = self.rays_per_row() - fates().map(|f| f.covered).sum::<u32>();

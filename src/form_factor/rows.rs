@@ -64,6 +64,28 @@ impl Builder {
         }
     }
 
+    /// Adds entries of so many rays where these are counted: of all `met` that are below `columns`. Counts are zero then.
+    #[inline(always)]
+    pub(super) fn push_counts(&mut self, met: &[u32], columns: u32, counts: &mut [u32]) {
+        debug_assert!(self.counts);
+        let mut next = self.columns.len();
+        self.columns.resize(next + met.len(), 0);
+        for (k, &column) in met.iter().enumerate() {
+            let count = std::mem::take(&mut counts[column as usize]);
+            if count > MOST && column < columns {
+                self.columns.truncate(next);
+                self.push_count(column, count);
+                next = self.columns.len();
+                self.columns.resize(next + met.len() - (k + 1), 0);
+                continue;
+            }
+            // Without a branch: what is no column is overwritten.
+            self.columns[next] = column | count.wrapping_sub(1) << COLUMN_BITS;
+            next += usize::from(column < columns);
+        }
+        self.columns.truncate(next);
+    }
+
     /// Ends a randomisation.
     pub(super) fn end_batch(&mut self) {
         self.start.push(self.columns.len() as u32);

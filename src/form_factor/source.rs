@@ -61,6 +61,8 @@ pub(super) struct Lanes {
     y: [[f32; LANES]; 3],
     z: [[f32; LANES]; 3],
     triangle: [bool; LANES],
+    /// Some are triangles.
+    triangles: bool,
     /// Of elements that are no parallelograms.
     twist: Option<Twist>,
     shift: [[u32; LANES]; 4],
@@ -89,6 +91,7 @@ impl Lanes {
             y: none,
             z: none,
             triangle: [false; LANES],
+            triangles: false,
             twist: None,
             shift: [[0; LANES]; 4],
         };
@@ -119,6 +122,7 @@ impl Lanes {
                 lanes.z[c][k] = frame.z.as_vec3()[c];
             }
             lanes.triangle[k] = grid.is_triangle();
+            lanes.triangles |= grid.is_triangle();
             lanes.sources.push(Source { element, face, normal, area: mesh.area(element) });
         }
         debug_assert!(lanes.sources.len().is_power_of_two());
@@ -169,32 +173,45 @@ impl Lanes {
         (0..LANES).fold(0, |bits, lane| bits | u16::from(self.place(lane).1 < points) << lane)
     }
 
-    /// Coordinates of the points that are due by lane.
-    #[inline(always)]
-    fn spread(&self, points: &ScrambledPoints, first: usize) -> [[u32; LANES]; 4] {
-        let due = [0, 1, 2, 3].map(|d| &points.coordinate(d)[first..]);
-        match (due[3].len() >= self.points_a_packet(), self.width) {
-            (true, 16) => due.map(repeated::<16>),
-            (true, 8) => due.map(repeated::<8>),
-            (true, 4) => due.map(repeated::<4>),
-            (true, 2) => due.map(repeated::<2>),
-            (true, _) => due.map(repeated::<1>),
-            (false, _) => due.map(|due| std::array::from_fn(|l| due[self.place(l).1.min(due.len() - 1)])),
+    /// Numbers in [0, 1) by dimension and lane, of packets that take several points.
+    #[inline(never)]
+    fn spread(&self, points: &ScrambledPoints, first: usize) -> [[f32; LANES]; 4] {
+        let mut p = [[0.0; LANES]; 4];
+        for (d, (p, shift)) in p.iter_mut().zip(&self.shift).enumerate() {
+            let due = &points.coordinate(d)[first..];
+            *p = match (due.len() >= self.points_a_packet(), self.width) {
+                (true, 8) => repeated::<8>(due, shift),
+                (true, 4) => repeated::<4>(due, shift),
+                (true, 2) => repeated::<2>(due, shift),
+                (true, 1) => repeated::<1>(due, shift),
+                _ => {
+                    let due = |l: usize| due[self.place(l).1.min(due.len() - 1)];
+                    std::array::from_fn(|l| unit(due(l) ^ shift[l]))
+                }
+            };
         }
+        p
     }
 
-    /// The rays of the points from `first` on.
+    /// The rays of the points from `first` on. `WHOLE`: a packet takes one point.
+    ///
+    /// Here and in what this calls: no closures for lanes, which would not be compiled for the wider registers.
     #[inline(always)]
-    pub(super) fn rays(&self, points: &ScrambledPoints, first: usize) -> RayLanes {
+    pub(super) fn rays<const WHOLE: bool>(&self, points: &ScrambledPoints, first: usize) -> RayLanes {
         let mut p = [[0.0f32; LANES]; 4];
-        for ((lanes, shift), x) in p.iter_mut().zip(&self.shift).zip(self.spread(points, first)) {
-            for ((lane, s), x) in lanes.iter_mut().zip(shift).zip(x) {
-                *lane = unit(x ^ s);
+        if WHOLE {
+            for (d, (p, shift)) in p.iter_mut().zip(&self.shift).enumerate() {
+                let x = points.coordinate(d)[first];
+                for (p, s) in p.iter_mut().zip(shift) {
+                    *p = unit(x ^ s);
+                }
             }
+        } else {
+            p = self.spread(points, first);
         }
         let mut rays = RayLanes { origin: [[0.0; LANES]; 3], direction: [[0.0; LANES]; 3] };
         let (mut s, mut t) = (p[0], p[1]);
-        if self.triangle.contains(&true) {
+        if self.triangles {
             for l in 0..LANES {
                 // [`crate::sampling::triangle`] without a branch.
                 let (u, v) = (p[0][l], p[1][l]);
@@ -221,19 +238,26 @@ impl Lanes {
             }
         }
         if let Some(twist) = &self.twist {
-            for (origin, c) in rays.origin.iter_mut().zip(&twist.c) {
-                (0..LANES).for_each(|l| origin[l] += s[l] * t[l] * c[l]);
+            for c in 0..3 {
+                for l in 0..LANES {
+                    rays.origin[c][l] += s[l] * t[l] * twist.c[c][l];
+                }
             }
         }
         rays
     }
 }
 
-/// Each number `WIDTH` times, which is known when this is compiled: lanes are filled whole registers at a time.
+/// Each coordinate in as many lanes as share a point, shifted; `WIDTH` is known when this is compiled, so that lanes are filled whole
+/// registers at a time.
 #[inline(always)]
-fn repeated<const WIDTH: usize>(due: &[u32]) -> [u32; LANES] {
+fn repeated<const WIDTH: usize>(due: &[u32], shift: &[u32; LANES]) -> [f32; LANES] {
     let due = &due[..LANES / WIDTH];
-    std::array::from_fn(|l| due[l / WIDTH])
+    let mut lanes = [0.0; LANES];
+    for l in 0..LANES {
+        lanes[l] = unit(due[l / WIDTH] ^ shift[l]);
+    }
+    lanes
 }
 
 /// x in [0, 1] for `r` uniform there, with a density that goes linearly from `1 - slope` at 0 to `1 + slope` at 1.
@@ -274,7 +298,10 @@ pub fn packets_of(
             lanes.shift(seed, 0, table.shared_bits());
             let step = lanes.points_a_packet();
             let full = |first: &usize| lanes.active(table.len() - first) == u16::MAX;
-            packets.extend((0..table.len()).step_by(step).filter(full).map(|k| lanes.rays(&points, k)));
+            packets.extend((0..table.len()).step_by(step).filter(full).map(|k| match step {
+                1 => lanes.rays::<true>(&points, k),
+                _ => lanes.rays::<false>(&points, k),
+            }));
         }
     }
     packets
@@ -301,12 +328,12 @@ mod tests {
             assert!(parts.windows(2).all(|p| p[0].end == p[1].start) && parts.iter().all(|p| p.end <= m));
             assert_eq!(shared(m, &apart).collect::<Vec<_>>(), (0..m).map(|k| k..k + 1).collect::<Vec<_>>());
         }
-        let due: Vec<u32> = (100..116).collect();
-        let each = |width: u32| std::array::from_fn(|l| 100 + l as u32 / width);
-        assert_eq!(repeated::<16>(&due), each(16));
-        assert_eq!(repeated::<8>(&due), each(8));
-        assert_eq!(repeated::<4>(&due), each(4));
-        assert_eq!(repeated::<2>(&due), each(2));
-        assert_eq!(repeated::<1>(&due), each(1));
+        let due: Vec<u32> = (0..16).map(|k| k << 28).collect();
+        let shift = std::array::from_fn(|l| (l as u32) << 24);
+        let each = |width: usize| std::array::from_fn(|l| (l / width) as f32 / 16.0 + l as f32 / 256.0);
+        assert_eq!(repeated::<8>(&due, &shift), each(8));
+        assert_eq!(repeated::<4>(&due, &shift), each(4));
+        assert_eq!(repeated::<2>(&due, &shift), each(2));
+        assert_eq!(repeated::<1>(&due, &shift), each(1));
     }
 }

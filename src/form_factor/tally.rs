@@ -16,20 +16,42 @@ impl Counts {
         (elements <= FEW).then(|| Counts { count: vec![0; elements + 1], met: Vec::new() })
     }
 
-    /// Counts rays by the elements that they met, or [`crate::mesh::NONE`], shows each element with its number of rays, and starts anew.
-    pub(super) fn count(&mut self, landed: &[u32], mut each: impl FnMut(u32, u32)) {
+    /// Counts at most `rays` rays by the elements that they met, or [`crate::mesh::NONE`]. Returns the elements, among them the
+    /// number of all elements for none, and their counts, to be zero again before rays are counted anew.
+    #[inline(always)]
+    pub(super) fn count<'r>(
+        &mut self,
+        landed: impl Iterator<Item = &'r [u32]>,
+        rays: usize,
+    ) -> (&[u32], &mut [u32]) {
         let none = self.count.len() - 1;
-        self.met.clear();
-        self.met.resize(landed.len() + 1, 0);
-        let mut len = 0;
-        for element in landed {
-            let element = (*element as usize).min(none);
-            self.met[len] = element as u32;
-            len += usize::from(self.count[element] == 0);
-            self.count[element] += 1;
+        if self.met.len() <= rays {
+            self.met.resize(rays + 1, 0);
         }
-        for element in &self.met[..len] {
-            let count = std::mem::take(&mut self.count[*element as usize]);
+        let (met, count) = (&mut self.met[..rays + 1], &mut self.count[..none + 1]);
+        let mut len = 0;
+        for run in landed {
+            for element in run {
+                let element = (*element as usize).min(none);
+                met[len] = element as u32;
+                len += usize::from(count[element] == 0);
+                count[element] += 1;
+            }
+        }
+        (&self.met[..len], &mut self.count)
+    }
+
+    /// As [`Counts::count`]; shows each element with its number of rays, and starts anew.
+    pub(super) fn each<'r>(
+        &mut self,
+        landed: impl Iterator<Item = &'r [u32]>,
+        rays: usize,
+        mut each: impl FnMut(u32, u32),
+    ) {
+        let (met, count) = self.count(landed, rays);
+        let none = count.len() - 1;
+        for element in met {
+            let count = std::mem::take(&mut count[*element as usize]);
             if *element as usize != none {
                 each(*element, count);
             }
@@ -120,7 +142,7 @@ mod tests {
             landed.iter().filter(|c| **c != NONE).for_each(|c| tally.add(*c, &[1.0]));
             let (mut expected, mut found) = (Vec::new(), Vec::new());
             tally.drain(|column, weight| expected.push((column, weight[0] as u32)));
-            counts.count(&landed, |column, count| found.push((column, count)));
+            counts.each(landed.chunks(16), landed.len(), |column, count| found.push((column, count)));
             assert_eq!(found, expected, "round {round}");
         }
         assert!(Counts::new(FEW + 1).is_none());

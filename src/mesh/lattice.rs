@@ -64,25 +64,36 @@ impl Lattice {
     /// The cell at (u, v), both in [0, 1], u + v <= 1 on a triangle; rounding outside is clamped.
     #[inline(always)]
     pub fn cell(&self, u: f32, v: f32) -> u32 {
+        let (fu, fv) = self.squares(u, v);
+        self.cell_of((fu, fv), (floor(fu), floor(fv)))
+    }
+
+    /// (u, v) in squares of the lattice.
+    #[inline(always)]
+    pub fn squares(&self, u: f32, v: f32) -> (f32, f32) {
+        (u * self.nu as i32 as f32, v * self.nv as i32 as f32)
+    }
+
+    /// The cell at a place in squares, of which the whole parts are known.
+    #[inline(always)]
+    pub fn cell_of(&self, place: (f32, f32), whole: (i32, i32)) -> u32 {
         let (nu, triangle) = (self.nu as i32, i32::from(self.triangle));
-        let (iu, iv, beyond, _) = self.square(u, v);
+        let (iu, iv, beyond) = self.square(place, whole);
         let inverted = i32::from(beyond) & triangle;
         (iv * (nu + (nu - iv) * triangle) + iu * (1 + triangle) + inverted) as u32
     }
 
-    /// Column and row of the square at (u, v), whether the point is beyond its diagonal and so would be on a triangle's inverted
-    /// cell, and where in it.
+    /// Column and row of the square at a place in squares, and whether that is beyond its diagonal and so would be on a triangle's
+    /// inverted cell.
     ///
     /// No branches and nothing but 32-bit numbers: of many rays at a time, all lanes do the same. Numbers of cells fit 27 bits.
     #[inline(always)]
-    fn square(&self, u: f32, v: f32) -> (i32, i32, bool, (f32, f32)) {
+    fn square(&self, (fu, fv): (f32, f32), (iu, iv): (i32, i32)) -> (i32, i32, bool) {
         let (nu, nv) = (self.nu as i32, self.nv as i32);
-        let (fu, fv) = (u * nu as f32, v * nv as f32);
-        let iv = floor(fv).min(nv - 1);
+        let iv = iv.min(nv - 1);
         let last = nu - 1 - iv * i32::from(self.triangle);
-        let iu = floor(fu).min(last);
-        let (s, t) = (fu - iu as f32, fv - iv as f32);
-        (iu, iv, (iu < last) & (s + t > 1.0), (s, t))
+        let iu = iu.min(last);
+        (iu, iv, (iu < last) & (fu + fv > (iu + iv + 1) as f32))
     }
 
     /// First cell of row `iv` of a triangle: each row has two cells less than the one before.
@@ -177,7 +188,9 @@ impl Lattice {
     #[inline(always)]
     pub fn interpolation(&self, u: f32, v: f32) -> ([u32; 4], [f32; 4]) {
         let nu = self.nu as i32;
-        let (iu, iv, beyond, (s, t)) = self.square(u, v);
+        let (fu, fv) = self.squares(u, v);
+        let (iu, iv, beyond) = self.square((fu, fv), (floor(fu), floor(fv)));
+        let (s, t) = (fu - iu as f32, fv - iv as f32);
         let (s, t) = (s.clamp(0.0, 1.0), t.clamp(0.0, 1.0));
         let (p, q) = (1.0 - s, 1.0 - t);
         // [`Lattice::triangle_node`]; the next row begins where this one ends.

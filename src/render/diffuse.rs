@@ -211,6 +211,7 @@ impl Context<'_, '_> {
         let chains = Chains::new(self.visibility, Some(self.emitters));
         let mut sum = [Rgb::ZERO; LANES];
         let mut packet = RayPacket::new();
+        let none = self.landings.none();
         for base in (0..count).step_by(numbers.points()) {
             let (points, weights) = self.guided(receivers, &numbers, numbers.of(base, count));
             let rays = bases.rays(&points);
@@ -218,12 +219,12 @@ impl Context<'_, '_> {
             self.cast(active.count_ones());
             packet.fill(&rays, active);
             self.visibility.closest16(&mut packet, rays.is_narrow(active));
-            let hits = packet.hits();
+            let hits = packet.hits(none);
             let places = self.landings.places(simd, &hits);
             for lane in numbers.lanes(count - base) {
                 let r = numbers.receiver(lane);
                 let &Receiver { face, origin, normal, sampler, albedo, .. } = &receivers[r];
-                if hits.face[lane] != face && hits.face[lane] != u32::MAX && places.kind[lane] == 0 {
+                if hits.face[lane] != face && hits.face[lane] != none && places.kind[lane] == 0 {
                     sum[r] += f64::from(weights[lane]) * self.interpolated_at(&places, lane);
                     continue;
                 }

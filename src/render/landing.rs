@@ -53,6 +53,11 @@ impl Landings {
         self.0.face(hit.face).kind[usize::from(!hit.front)]
     }
 
+    /// The face that stands for none in the hits of packets.
+    pub fn none(&self) -> u32 {
+        self.0.none()
+    }
+
     /// Where the rays of a packet landed.
     #[inline(always)]
     pub fn places<S: Simd>(&self, simd: S, hits: &Hits) -> Places {

@@ -39,14 +39,14 @@ pub struct SideLanes<'t> {
     pub first: [u32; LANES],
     /// Kind of the side; 32 bits a lane, like all else, so that lanes go together.
     pub kind: [u32; LANES],
+    face: [u32; LANES],
     /// (u, v) where they landed.
     u: [f32; LANES],
     v: [f32; LANES],
     nu: [u32; LANES],
     nv: [u32; LANES],
     triangle: [u32; LANES],
-    /// Where some faces have cells that differ in size.
-    grids: Option<[&'t Grid; LANES]>,
+    table: &'t SideTable,
 }
 
 impl FaceSides {
@@ -85,6 +85,12 @@ impl SideTable {
         SideTable { adaptive, skewed, records, faces }
     }
 
+    /// The face that stands for none.
+    #[inline(always)]
+    pub fn none(&self) -> u32 {
+        self.records.len() as u32 - 1
+    }
+
     /// A face; one that there is not stands for none.
     #[inline(always)]
     pub fn face(&self, face: u32) -> &FaceSides {
@@ -97,12 +103,15 @@ impl SideTable {
         self.records = self.faces.iter().map(FaceSides::record).collect();
     }
 
-    /// The sides that the rays of a packet landed on.
+    /// The sides that the rays of a packet landed on, whose hits count nothing as [`SideTable::none`].
+    ///
+    /// Here and in what this calls: no closures for lanes, which would not be compiled for the wider registers.
     #[inline(always)]
     pub fn lanes<S: Simd>(&self, simd: S, hits: &Hits) -> SideLanes<'_> {
-        let last = self.records.len() as u32 - 1;
-        let face = hits.face.map(|face| face.min(last));
-        let met: [&Record; LANES] = std::array::from_fn(|l| &self.records[face[l] as usize]);
+        let mut met = [&self.records[0]; LANES];
+        for (met, face) in met.iter_mut().zip(hits.face) {
+            *met = &self.records[face as usize];
+        }
         let [front_first, back_first, bits, nu, nv, cx, cy, _] = fields(simd, met);
         let (mut first, mut kind, mut triangle) = ([0; LANES], [0; LANES], [0; LANES]);
         for l in 0..LANES {
@@ -112,15 +121,21 @@ impl SideTable {
             kind[l] = bits[l] >> (8 & !front) & 0xff;
             triangle[l] = bits[l] >> 16;
         }
-        let grids = if self.adaptive { Some(hits.face.map(|face| &self.face(face).grid)) } else { None };
         let (mut u, mut v) = (hits.u, hits.v);
         if self.skewed {
             for l in 0..LANES {
-                let skew = [cx[l], cy[l]].map(f32::from_bits);
+                let skew = [f32::from_bits(cx[l]), f32::from_bits(cy[l])];
                 (u[l], v[l]) = from_halves(skew, hits.u[l], hits.v[l]);
             }
         }
-        SideLanes { first, kind, u, v, nu, nv, triangle, grids }
+        SideLanes { first, kind, face: hits.face, u, v, nu, nv, triangle, table: self }
+    }
+
+    /// The cells that hold those of the finest lattice on these faces. Apart: its numbers would go from lane to lane one by one where
+    /// no face is adaptive, too.
+    #[inline(never)]
+    fn holding(&self, face: [u32; LANES], cell: [u32; LANES]) -> [u32; LANES] {
+        std::array::from_fn(|l| self.face(face[l]).grid.holding(cell[l]))
     }
 }
 
@@ -174,6 +189,30 @@ fn four(v3: pulp::x86::V3, rows: [&Record; 4]) -> [std::arch::x86_64::__m256i; 4
     ]
 }
 
+/// Whole parts of numbers that are positive but for rounding, and 0 of others.
+#[inline(always)]
+fn whole<S: Simd>(simd: S, x: [f32; LANES]) -> [i32; LANES] {
+    let mut whole = [0; LANES];
+    #[cfg(target_arch = "x86_64")]
+    if let Some(v3) = (&simd as &dyn std::any::Any).downcast_ref::<pulp::x86::V3>() {
+        for first in [0, 8] {
+            let mut part = [0.0f32; 8];
+            part.copy_from_slice(&x[first..first + 8]);
+            let part: [i32; 8] = pulp::cast(v3.avx._mm256_cvttps_epi32(pulp::cast(part)));
+            whole[first..first + 8].copy_from_slice(&part);
+        }
+        for whole in &mut whole {
+            *whole = (*whole).max(0);
+        }
+        return whole;
+    }
+    let _ = simd;
+    for (whole, x) in whole.iter_mut().zip(x) {
+        *whole = (x as i32).max(0);
+    }
+    whole
+}
+
 impl SideLanes<'_> {
     #[inline(always)]
     fn lattice(&self, l: usize) -> Lattice {
@@ -182,10 +221,18 @@ impl SideLanes<'_> {
 
     /// Numbers of the cells that the rays landed on, counted from [`SideLanes::first`]; [`NONE`] where the side has none.
     #[inline(always)]
-    pub fn cells(&self) -> [u32; LANES] {
-        let mut cell: [u32; LANES] = std::array::from_fn(|l| self.lattice(l).cell(self.u[l], self.v[l]));
-        if let Some(grids) = self.grids {
-            cell.iter_mut().zip(grids).for_each(|(c, grid)| *c = grid.holding(*c));
+    pub fn cells<S: Simd>(&self, simd: S) -> [u32; LANES] {
+        let (mut fu, mut fv) = ([0.0; LANES], [0.0; LANES]);
+        for l in 0..LANES {
+            (fu[l], fv[l]) = self.lattice(l).squares(self.u[l], self.v[l]);
+        }
+        let (iu, iv) = (whole(simd, fu), whole(simd, fv));
+        let mut cell = [0; LANES];
+        for (l, cell) in cell.iter_mut().enumerate() {
+            *cell = self.lattice(l).cell_of((fu[l], fv[l]), (iu[l], iv[l]));
+        }
+        if self.table.adaptive {
+            cell = self.table.holding(self.face, cell);
         }
         for (cell, first) in cell.iter_mut().zip(self.first) {
             let number = first.wrapping_add(*cell);
@@ -204,11 +251,15 @@ impl SideLanes<'_> {
                 (nodes[k][l], weights[k][l]) = (place.0[k], place.1[k]);
             }
         }
-        let differing = self.grids.into_iter().flatten().enumerate().filter(|(_, g)| g.is_adaptive());
-        for (l, grid) in differing {
-            let place = grid.interpolation(self.u[l], self.v[l]);
-            for k in 0..4 {
-                (nodes[k][l], weights[k][l]) = (place.0[k], place.1[k]);
+        if self.table.adaptive {
+            for l in 0..LANES {
+                let grid = &self.table.face(self.face[l]).grid;
+                if grid.is_adaptive() {
+                    let place = grid.interpolation(self.u[l], self.v[l]);
+                    for k in 0..4 {
+                        (nodes[k][l], weights[k][l]) = (place.0[k], place.1[k]);
+                    }
+                }
             }
         }
         (nodes, weights)

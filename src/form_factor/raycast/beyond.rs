@@ -36,7 +36,7 @@ impl Caster<'_, '_> {
             return;
         }
         fate.absorbed += u32::from(met.kind & ABSORBED != 0);
-        scratch.landed[place * self.stride() + point as usize] = met.column;
+        scratch.landed.set(batch as usize, k, point as usize, met.column);
         if met.kind & (EMITTER | SPECULAR) == 0 {
             return;
         }
