@@ -216,6 +216,9 @@ impl<'a> Arrays<'a> {
 
     fn field(&mut self, name: &str, nodes: &Nodes) -> Result<Field> {
         let flat: Vec<f32> = self.get(name, &[nodes.count() as u64, 3])?;
+        if let Some(number) = flat.iter().find(|x| !x.is_finite()) {
+            return Err(self.damaged(format!("{name} holds {number}")));
+        }
         Ok(Field::of_nodes(flat.chunks_exact(3).map(|v| [v[0], v[1], v[2]]).collect()))
     }
 

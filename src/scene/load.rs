@@ -408,7 +408,8 @@ fn read_libraries(file: &ObjFile, warnings: &mut Vec<String>) -> Result<(Vec<Mat
                 continue;
             }
             if !path.is_file() {
-                let message = format!("material library \"{name}\" not found");
+                let what = if path.exists() { "is no file" } else { "not found" };
+                let message = format!("material library \"{name}\" {what}");
                 warnings.push(Error::parse(&file.path, Some(*line), message).to_string());
                 continue;
             }

@@ -182,8 +182,7 @@ impl Scene {
     pub fn path(&self, name: Option<&str>) -> Result<&CameraPath> {
         let camera = self.camera(name)?;
         self.paths.iter().find(|p| p.name() == camera.name).ok_or_else(|| {
-            let help =
-                "has no keyframes; add [[camera.keyframe]] with frame, origin and target, at least two";
+            let help = "has no keyframes; add [[camera.keyframe]] with frame, origin and target, one for each view on its way";
             Error::scene(format!("{}: camera \"{}\"", self.path.display(), camera.name), help)
         })
     }
