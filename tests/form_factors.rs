@@ -7,9 +7,12 @@
 mod common;
 
 use common::*;
+use glam::DVec3;
 use rayon::ThreadPoolBuilder;
-use twopass::form_factor::{AtSpecular, Casting, ExchangeMatrix, ObjectTable, cast};
-use twopass::mesh::{Mesh, Sides};
+use std::f64::consts::{PI, TAU};
+use twopass::form_factor::analytic::{EXACT, Polygon, exchange};
+use twopass::form_factor::{AtSpecular, Casting, ExchangeMatrix, ObjectTable, cast, unoccluded};
+use twopass::mesh::{Mesh, Sides, default_element_size};
 use twopass::scene::Scene;
 use twopass::visibility::Visibility;
 
@@ -165,6 +168,47 @@ fn blockers() {
             assert_factor(&t, "a", "b", exact);
             assert_factor(&t, "b", "a", exact);
         }
+    }
+}
+
+/// Coaxial discs of a hundred corners, which are strips of quads: pair by pair as a fan of triangles from the middle of each has it,
+/// and by rays at the default element size, of which triangles as long as the discs would need hundreds of thousands.
+#[test]
+fn discs_of_many_corners() {
+    let n = 100;
+    let at = |k: usize, z: f64| {
+        let angle = TAU * k as f64 / n as f64;
+        [angle.cos(), angle.sin(), z]
+    };
+    let lower: Vec<Point> = (0..n).map(|k| at(k, 0.0)).collect();
+    let upper: Vec<Point> = (0..n).rev().map(|k| at(k, 1.0)).collect();
+    let scene = scene(&[("lower", vec![lower]), ("upper", vec![upper])]);
+    assert!(scene.faces.len() < n && scene.triangle_count <= 4, "{} faces", scene.faces.len());
+
+    let part = |k: usize, z: f64| {
+        let [a, b, c] = [[0.0, 0.0, z], at(k, z), at(k + 1, z)].map(DVec3::from_array);
+        if z == 0.0 { Polygon::new(&[a, b, c], DVec3::Z) } else { Polygon::new(&[a, c, b], -DVec3::Z) }
+    };
+    let one = part(0, 0.0);
+    let exact = (0..n).map(|k| exchange(&one, &part(k, 1.0), EXACT)).sum::<f64>() / one.area();
+    // Discs as large as the polygons: their shape matters less by far.
+    let r2 = 0.5 * n as f64 * (TAU / n as f64).sin() / PI;
+    let x = 2.0 + 1.0 / r2;
+    let disc = 0.5 * (x - (x * x - 4.0).sqrt());
+    assert!((exact - disc).abs() < 1e-6 && (exact - 0.381_966).abs() < 2e-4, "{exact}, disc {disc}");
+
+    let device = device();
+    let visibility = Visibility::new(&device, &scene).expect("tree");
+    let mesh = Mesh::new(&scene, &Sides::fronts(&scene), 1e9, true).expect("mesh");
+    let pairs = unoccluded(&visibility, &mesh, 0, &|_| {}).expect("few elements").table(&scene, &mesh, 0.0);
+    let size = default_element_size(&scene);
+    let elements = Mesh::new(&scene, &Sides::fronts(&scene), size, true).expect("mesh").len();
+    assert!(elements < 8000, "{elements} elements");
+    let rays = table(&scene, size, 1024, 5);
+    for (from, to) in [("lower", "upper"), ("upper", "lower")] {
+        let pair = pairs.form_factors[index(&pairs, from)][index(&pairs, to)];
+        assert!((pair / exact - 1.0).abs() < 1e-9, "{pair}, exact {exact}");
+        assert_factor(&rays, from, to, exact);
     }
 }
 

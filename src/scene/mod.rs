@@ -17,6 +17,7 @@ mod obj;
 mod obj_text;
 mod path;
 mod polygon;
+mod strip;
 
 pub use camera::{Camera, CameraFrame, within_size};
 pub use features::Features;

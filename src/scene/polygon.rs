@@ -10,7 +10,7 @@ const UNEVEN: f64 = 4.0;
 /// A polygon counts as planar when its corners are within this share of its size of its plane.
 const PLANAR_TOLERANCE: f64 = 1e-3;
 /// Less than this share of the squared size is no area: rounding of coordinates makes as much.
-const AREA_TOLERANCE: f64 = 1e-12;
+pub(super) const AREA_TOLERANCE: f64 = 1e-12;
 
 /// What a polygon was split into.
 #[derive(Debug, Default)]
@@ -34,7 +34,8 @@ pub(super) fn area_vector(points: &[DVec3]) -> DVec3 {
 /// Splits a polygon whose consecutive corners differ. The faces keep its orientation.
 ///
 /// Quads are cut from their first corner where that diagonal lies inside, as other renderers
-/// do, so that a quad that is not planar has the same shape everywhere.
+/// do, so that a quad that is not planar has the same shape everywhere. Convex polygons of more corners become a strip of
+/// quads, other ones triangles.
 pub(super) fn split(points: &[DVec3]) -> Split {
     let size = extent(points);
     let area = area_vector(points);
@@ -61,11 +62,16 @@ pub(super) fn split(points: &[DVec3]) -> Split {
             }
         }
     }
-    clip_ears(points, normal, size, bent)
+    // Corners far from one plane would leave no quad whole.
+    let strip = if points.len() > 4 && !bent { super::strip::cut(points, normal, size) } else { None };
+    match strip {
+        Some(faces) => Split { faces, ..Split::default() },
+        None => clip_ears(points, normal, size, bent),
+    }
 }
 
 /// Whether a quad is planar and convex, and not so uneven that its grid would have cells of very different areas.
-fn stays_whole(corners: [DVec3; 4], size: f64) -> bool {
+pub(super) fn stays_whole(corners: [DVec3; 4], size: f64) -> bool {
     let [a, b, _, d] = corners;
     if is_parallelogram(corners) {
         return true;
@@ -123,12 +129,12 @@ fn extent(points: &[DVec3]) -> f64 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use glam::{DQuat, dvec3};
     use std::f64::consts::TAU;
 
-    fn area_of(points: &[DVec3], face: &[usize; 4]) -> DVec3 {
+    pub fn area_of(points: &[DVec3], face: &[usize; 4]) -> DVec3 {
         let corners = if face[2] == face[3] { &face[..3] } else { &face[..] };
         area_vector(&corners.iter().map(|&c| points[c]).collect::<Vec<_>>())
     }
@@ -206,7 +212,7 @@ mod tests {
     }
 
     /// SplitMix64, in [0, 1).
-    fn random(state: &mut u64) -> f64 {
+    pub fn random(state: &mut u64) -> f64 {
         *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = *state;
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
