@@ -1,7 +1,7 @@
 //! Many frames: pass 1 from a file, and cameras that move.
 
 use std::fs;
-use std::io::Read;
+use std::io::{Read, Write};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use twopass::image::read_exr;
@@ -141,6 +141,23 @@ fn a_compressed_solution_is_read() {
     long.finish().unwrap();
     let render = ["render", "scene.toml", "--quality", "mesh", "--solution", "l.npz", "-o", "l.exr"];
     files.fails(&[&render], 1, &["l.npz", "damaged", "radiosity", "longer"]);
+
+    // One number is none.
+    let mut odd = zip::ZipWriter::new(fs::File::create(files.path("n.npz")).unwrap());
+    for k in 0..stored.len() {
+        let mut entry = stored.by_index(k).unwrap();
+        let mut bytes = Vec::new();
+        entry.read_to_end(&mut bytes).unwrap();
+        if entry.name() == "node_reflected.npy" {
+            let last = bytes.len() - size_of::<f32>();
+            bytes[last..].copy_from_slice(&f32::NAN.to_le_bytes());
+        }
+        odd.start_file(entry.name().to_string(), options).unwrap();
+        odd.write_all(&bytes).unwrap();
+    }
+    odd.finish().unwrap();
+    let render = ["render", "scene.toml", "--quality", "mesh", "--solution", "n.npz", "-o", "n.exr"];
+    files.fails(&[&render], 1, &["n.npz", "damaged", "node_reflected holds NaN"]);
 }
 
 /// A frame does not depend on which others are rendered, nor on where pass 1 came from.

@@ -93,10 +93,8 @@ impl Camera {
     pub(super) fn check(&self) -> std::result::Result<(), &'static str> {
         let view = (self.target - self.origin).try_normalize();
         let view = view.ok_or("origin and target are the same point, or too far apart")?;
-        let up = self
-            .up
-            .try_normalize()
-            .ok_or("up must not be zero, nor too long or short to be measured")?;
+        let up =
+            self.up.try_normalize().ok_or("up must not be zero, nor too long or short to be measured")?;
         if view.cross(up).length() < 1e-6 {
             return Err("looks along its up vector; choose another up");
         }
