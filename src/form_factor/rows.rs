@@ -348,4 +348,21 @@ mod tests {
         assert_eq!(sum, Rgb::splat(32.5));
         assert_eq!(row.sum_batch(2, |_| Rgb::ONE), Rgb::splat(48.0));
     }
+
+    /// What was counted comes out as if it had been pushed one by one, whatever its size and wherever those stand that are no columns.
+    #[test]
+    fn many_counts_come_back_as_single_ones() {
+        let numbers = [3, 33, 1, 500, 32, 64, 65, 7];
+        for none in 0..=numbers.len() {
+            let (mut together, mut single) = (Builder::new(true), Builder::new(true));
+            let mut met: Vec<u32> = (0..8).rev().collect();
+            let mut counts = numbers.to_vec();
+            counts.push(100);
+            met.insert(none, 8);
+            met.iter().filter(|j| **j < 8).for_each(|j| single.push_count(*j, counts[*j as usize]));
+            together.push_counts(&met, 8, &mut counts);
+            assert_eq!(counts, [0; 9]);
+            assert_eq!(together.columns, single.columns, "none at {none}");
+        }
+    }
 }

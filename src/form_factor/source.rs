@@ -195,7 +195,7 @@ impl Lanes {
 
     /// The rays of the points from `first` on. `WHOLE`: a packet takes one point.
     ///
-    /// Here and in what this calls: no closures for lanes, which would not be compiled for the wider registers.
+    /// No closures for lanes here: these would not be compiled for the wider registers.
     #[inline(always)]
     pub(super) fn rays<const WHOLE: bool>(&self, points: &ScrambledPoints, first: usize) -> RayLanes {
         let mut p = [[0.0f32; LANES]; 4];

@@ -22,14 +22,14 @@ pub struct Lattice {
     pub triangle: bool,
 }
 
-/// Most cells along an edge: what [`floor`] takes, and single precision still tells apart in (u, v).
+/// Most cells along an edge: what [`whole_part`] takes, and single precision still tells apart in (u, v).
 pub(super) const MOST_ALONG: u32 = 1 << 22;
 
 /// The whole part of a number in [0, [`MOST_ALONG`]]; others are clamped to that.
 ///
 /// Rust's own conversion is done lane by lane: half of the time that it takes to find where 16 rays landed.
 #[inline(always)]
-fn floor(x: f32) -> i32 {
+pub fn whole_part(x: f32) -> i32 {
     // Numbers from here to twice as much are whole, and their lower bits count from zero.
     const WHOLE: f32 = (1 << 23) as f32;
     let x = x.max(0.0).min(MOST_ALONG as f32);
@@ -65,7 +65,7 @@ impl Lattice {
     #[inline(always)]
     pub fn cell(&self, u: f32, v: f32) -> u32 {
         let (fu, fv) = self.squares(u, v);
-        self.cell_of((fu, fv), (floor(fu), floor(fv)))
+        self.cell_of((fu, fv), (whole_part(fu), whole_part(fv)))
     }
 
     /// (u, v) in squares of the lattice.
@@ -78,22 +78,22 @@ impl Lattice {
     #[inline(always)]
     pub fn cell_of(&self, place: (f32, f32), whole: (i32, i32)) -> u32 {
         let (nu, triangle) = (self.nu as i32, i32::from(self.triangle));
-        let (iu, iv, beyond) = self.square(place, whole);
-        let inverted = i32::from(beyond) & triangle;
+        let (iu, iv, inner) = self.square(whole);
+        let inverted = i32::from(inner & (place.0 + place.1 > (iu + iv + 1) as f32)) & triangle;
         (iv * (nu + (nu - iv) * triangle) + iu * (1 + triangle) + inverted) as u32
     }
 
-    /// Column and row of the square at a place in squares, and whether that is beyond its diagonal and so would be on a triangle's
-    /// inverted cell.
+    /// Column and row of a square from the whole parts of a place in squares, and whether it lies within a row: beyond its
+    /// diagonal there is a triangle's inverted cell.
     ///
     /// No branches and nothing but 32-bit numbers: of many rays at a time, all lanes do the same. Numbers of cells fit 27 bits.
     #[inline(always)]
-    fn square(&self, (fu, fv): (f32, f32), (iu, iv): (i32, i32)) -> (i32, i32, bool) {
+    fn square(&self, (iu, iv): (i32, i32)) -> (i32, i32, bool) {
         let (nu, nv) = (self.nu as i32, self.nv as i32);
         let iv = iv.min(nv - 1);
         let last = nu - 1 - iv * i32::from(self.triangle);
         let iu = iu.min(last);
-        (iu, iv, (iu < last) & (fu + fv > (iu + iv + 1) as f32))
+        (iu, iv, iu < last)
     }
 
     /// First cell of row `iv` of a triangle: each row has two cells less than the one before.
@@ -189,8 +189,9 @@ impl Lattice {
     pub fn interpolation(&self, u: f32, v: f32) -> ([u32; 4], [f32; 4]) {
         let nu = self.nu as i32;
         let (fu, fv) = self.squares(u, v);
-        let (iu, iv, beyond) = self.square((fu, fv), (floor(fu), floor(fv)));
+        let (iu, iv, inner) = self.square((whole_part(fu), whole_part(fv)));
         let (s, t) = (fu - iu as f32, fv - iv as f32);
+        let beyond = inner & (s + t > 1.0);
         let (s, t) = (s.clamp(0.0, 1.0), t.clamp(0.0, 1.0));
         let (p, q) = (1.0 - s, 1.0 - t);
         // [`Lattice::triangle_node`]; the next row begins where this one ends.
@@ -314,11 +315,11 @@ mod tests {
             let next = |x: f32| f32::from_bits(x.to_bits() + 1);
             let before = |x: f32| f32::from_bits(x.to_bits() - 1);
             for y in [x, next(x), x + 0.25, x + 0.5, before(x + 1.0)] {
-                assert_eq!(floor(y), k, "{y}");
+                assert_eq!(whole_part(y), k, "{y}");
             }
         }
-        assert_eq!([-1.0, -0.0, f32::NAN, f32::NEG_INFINITY].map(floor), [0; 4]);
-        assert_eq!([most, most + 1.0, 1e30, f32::INFINITY].map(floor), [1 << 22; 4]);
+        assert_eq!([-1.0, -0.0, f32::NAN, f32::NEG_INFINITY].map(whole_part), [0; 4]);
+        assert_eq!([most, most + 1.0, 1e30, f32::INFINITY].map(whole_part), [1 << 22; 4]);
     }
 
     #[test]

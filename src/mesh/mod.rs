@@ -13,7 +13,7 @@ mod place;
 pub use division::{Along, Division, Siblings};
 pub use grid::{Grid, Levels};
 use lattice::MOST_ALONG;
-pub use lattice::{CellFrame, Lattice};
+pub use lattice::{CellFrame, Lattice, whole_part};
 pub use patch::Nodes;
 pub use place::Place;
 

@@ -133,7 +133,8 @@ fn uncertain(solution: &Solution, warnings: &mut Vec<String>) {
         let (error, value) = (color::mean(o.standard_error), color::mean(o.radiosity));
         // What is dark beside the rest of the scene need not be known as well.
         let relative = error / value.max(1e-6 * brightest);
-        // A side on which no ray found any light, such as the outside of a room, is as dark as it looks or `dark` names it.
+        // A side on which no ray found any light, such as the outside of a room, is mostly as dark as it looks; `dark` names
+        // objects of which that is so on all sides.
         if value > 0.0 && relative > TOLERATED {
             worst.push((relative, &o.name));
         }

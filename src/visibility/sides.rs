@@ -1,7 +1,7 @@
 //! What rays need to know of the side of a face that they land on, side by side in memory, for 16 at a time without branches.
 
 use crate::embree::{Hits, LANES};
-use crate::mesh::{Grid, Lattice, NONE};
+use crate::mesh::{Grid, Lattice, NONE, whole_part};
 use crate::scene::{Face, from_halves};
 use glam::Vec3;
 use pulp::Simd;
@@ -105,7 +105,7 @@ impl SideTable {
 
     /// The sides that the rays of a packet landed on, whose hits count nothing as [`SideTable::none`].
     ///
-    /// Here and in what this calls: no closures for lanes, which would not be compiled for the wider registers.
+    /// No closures for lanes here: these would not be compiled for the wider registers.
     #[inline(always)]
     pub fn lanes<S: Simd>(&self, simd: S, hits: &Hits) -> SideLanes<'_> {
         let mut met = [&self.records[0]; LANES];
@@ -189,7 +189,7 @@ fn four(v3: pulp::x86::V3, rows: [&Record; 4]) -> [std::arch::x86_64::__m256i; 4
     ]
 }
 
-/// Whole parts of numbers that are positive but for rounding, and 0 of others.
+/// [`whole_part`] of the places of rays in squares.
 #[inline(always)]
 fn whole<S: Simd>(simd: S, x: [f32; LANES]) -> [i32; LANES] {
     let mut whole = [0; LANES];
@@ -208,7 +208,7 @@ fn whole<S: Simd>(simd: S, x: [f32; LANES]) -> [i32; LANES] {
     }
     let _ = simd;
     for (whole, x) in whole.iter_mut().zip(x) {
-        *whole = (x as i32).max(0);
+        *whole = whole_part(x);
     }
     whole
 }

@@ -241,8 +241,13 @@ impl Body {
                 }
             })
         };
-        let open = self.planes.len() > self.surfaces.len();
-        polygons.iter().filter(is_within).nth(usize::from(!open)).is_some()
+        let Some((o, n)) = self.planes.last().filter(|_| self.planes.len() > self.surfaces.len()) else {
+            return polygons.iter().filter(is_within).nth(1).is_some();
+        };
+        // A floor that a box stands in a little looks away from the plane that is open.
+        let opening = || self.corners.iter().filter(|c| (**c - *o).dot(*n).abs() <= self.eps);
+        let sees = |p: &&Polygon| opening().any(|c| (*c - p.corners()[0]).dot(p.normal) > self.eps);
+        polygons.iter().filter(sees).any(|p| is_within(&p))
     }
 
     /// Numbers of the surfaces that it consists of.

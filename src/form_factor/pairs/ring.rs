@@ -125,12 +125,12 @@ impl Ring {
         &self.0
     }
 
-    /// Adds it to `polygons`, in as many as its corners take.
+    /// Adds it to `polygons`, in as many as its corners take: cuts will add some to each.
     pub fn fan(&self, normal: DVec3, polygons: &mut Vec<Polygon>) {
         let Some((first, others)) = self.0.split_first() else { return };
         let mut begin = 0;
         while begin + 1 < others.len() {
-            let end = others.len().min(begin + MOST_CORNERS - 1);
+            let end = others.len().min(begin + MOST_CORNERS / 2);
             let corners: Vec<DVec3> = std::iter::once(first).chain(&others[begin..end]).copied().collect();
             polygons.push(Polygon::new(&corners, normal));
             begin = end - 1;

@@ -296,7 +296,7 @@ impl Shared<'_, '_> {
         let batches = self.work.batches;
         let mut values = [(0.0, 0.0); BATCHES];
         // Of an element in many pieces much is covered, and more points must tell what is not.
-        let pieces = self.elements[a].pieces() * self.elements[b].pieces();
+        let pieces = (self.elements[a].pieces() * self.elements[b].pieces()).next_power_of_two();
         let (mut done, mut goal) = (0, (self.work.points.max(1) as usize * pieces).min(MOST_POINTS as usize));
         let largest = full / self.elements[a].area.min(self.elements[b].area);
         loop {
