@@ -16,7 +16,7 @@ pub fn run(context: &Context) -> Result<Measurements> {
         "`twopass solve` on the Cornell box",
         "The most memory that the program held at once (as the system counts it: pages in memory, libraries included), each run in a \
          process of its own, from loading the scene to the written solution. Beside it the matrix of form factors, which holds 4 \
-         bytes for each entry (an element, seen from another in one of 4 independent parts of its row) and 113 for each element.",
+         bytes for each entry (an element, seen from another in one of 4 independent parts of its row) and 114 for each element.",
     );
     let Some(program) = &context.settings.program else {
         subject.notes.push("skipped: the program does not know its own file".into());

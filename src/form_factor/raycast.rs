@@ -31,7 +31,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 /// Elements that one task casts: small enough to share the work, large enough to hold a few groups of [`LANES`].
-const BLOCK: usize = 32;
+pub(super) const BLOCK: usize = 32;
 
 /// What becomes of rays that meet specular surfaces.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

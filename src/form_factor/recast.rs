@@ -2,7 +2,7 @@
 
 use super::gathered::EmitterRows;
 use super::matrix::{ExchangeMatrix, RowSummary};
-use super::raycast::{Caster, Casting};
+use super::raycast::{BLOCK, Caster, Casting};
 use super::rows::{Block, Row};
 use crate::color::Rgb;
 use crate::mesh::Mesh;
@@ -13,8 +13,8 @@ use rustc_hash::FxHashMap;
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Rows that one task visits.
-const TASK: usize = 64;
+/// Rows that one task visits: as many as are cast together, so that sums are the same to the bit from a matrix.
+const TASK: usize = BLOCK;
 
 /// Form factors without a matrix: every visit of the rows casts their rays again, the same to the bit.
 pub struct Recast<'a> {
