@@ -25,7 +25,7 @@ pub struct Lattice {
 /// Most cells along an edge: what [`whole_part`] takes, and single precision still tells apart in (u, v).
 pub(super) const MOST_ALONG: u32 = 1 << 22;
 
-/// The whole part of a number in [0, [`MOST_ALONG`]]; others are clamped to that.
+/// The whole part of a number in [0, 2^22]; others are clamped to that.
 ///
 /// Rust's own conversion is done lane by lane: half of the time that it takes to find where 16 rays landed.
 #[inline(always)]
