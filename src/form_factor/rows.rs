@@ -1,12 +1,18 @@
 //! Rows of form factors in the memory that they need.
 
 use crate::color::{self, Rgb};
+use glam::Vec4;
+use std::ops::{Add, AddAssign};
 
 /// Bits of a counted entry that hold the column; the others hold the count less one.
 const COLUMN_BITS: u32 = 27;
 const COLUMN: u32 = (1 << COLUMN_BITS) - 1;
 /// Largest count of one entry; larger ones take several entries in a row.
 const MOST: u32 = 1 << (32 - COLUMN_BITS);
+/// Sums that a row's sum is taken in, for no addition to wait for the one before.
+const CHAINS: usize = 4;
+/// Entries whose sum single precision may hold.
+const RUN: usize = 64;
 
 /// Entries of a block of consecutive rows.
 #[derive(Debug, Clone)]
@@ -277,13 +283,13 @@ impl<'a> Row<'a> {
     /// [`Row::dot`] with a vector in single precision.
     #[inline]
     pub fn dot_rough(&self, x: &[[f32; 4]]) -> Rgb {
-        self.sum(0, self.batches(), |j| widen(x[j]))
+        self.sum_rough(0, self.batches(), x)
     }
 
     /// [`Row::dot_batch`] with a vector in single precision.
     #[inline]
     pub fn dot_batch_rough(&self, batch: usize, x: &[[f32; 4]]) -> Rgb {
-        self.sum_batch(batch, |j| widen(x[j]))
+        self.sum_rough(batch, batch + 1, x) * self.batches() as f64
     }
 
     /// Sum over the columns of one randomisation of the factor times `f`, an estimate of the whole.
@@ -292,21 +298,35 @@ impl<'a> Row<'a> {
         self.sum(batch, batch + 1, f) * self.batches() as f64
     }
 
+    /// [`Row::sum`] of a vector in single precision, which also holds the sums of runs of [`RUN`] entries.
+    #[inline]
+    fn sum_rough(&self, from: usize, to: usize, x: &[[f32; 4]]) -> Rgb {
+        let range = self.start[from] as usize..self.start[to] as usize;
+        let columns = &self.columns[range.clone()];
+        let at = |j: u32| Vec4::from_array(x[j as usize]);
+        match self.values {
+            Values::Counts(scale) => {
+                let of = |e: u32, _: &u32| ((e >> COLUMN_BITS) + 1) as f32 * at(e & COLUMN);
+                columns.chunks(RUN).map(|run| widen(in_chains(run, run, of).to_array())).sum::<Rgb>() * scale
+            }
+            Values::Grey(values) => {
+                let runs = columns.chunks(RUN).zip(values[range].chunks(RUN));
+                runs.map(|(run, values)| widen(in_chains(run, values, |j, v| *v * at(j)).to_array())).sum()
+            }
+            Values::Coloured(_) => self.sum(from, to, |j| widen(x[j])),
+        }
+    }
+
     #[inline]
     fn sum(&self, from: usize, to: usize, f: impl Fn(usize) -> Rgb) -> Rgb {
         let range = self.start[from] as usize..self.start[to] as usize;
         let columns = &self.columns[range.clone()];
         match self.values {
             Values::Counts(scale) => {
-                let sum = columns.iter().fold(Rgb::ZERO, |sum, e| {
-                    sum + f64::from((*e >> COLUMN_BITS) + 1) * f((*e & COLUMN) as usize)
-                });
-                sum * scale
+                let of = |e: u32, _: &u32| f64::from((e >> COLUMN_BITS) + 1) * f((e & COLUMN) as usize);
+                in_chains(columns, columns, of) * scale
             }
-            Values::Grey(values) => {
-                let pairs = columns.iter().zip(&values[range]);
-                pairs.fold(Rgb::ZERO, |sum, (j, v)| sum + f64::from(*v) * f(*j as usize))
-            }
+            Values::Grey(values) => in_chains(columns, &values[range], |j, v| f64::from(*v) * f(j as usize)),
             Values::Coloured(values) => {
                 let triples = columns.iter().zip(values[3 * range.start..3 * range.end].chunks_exact(3));
                 triples.fold(Rgb::ZERO, |sum, (j, v)| {
@@ -315,6 +335,26 @@ impl<'a> Row<'a> {
             }
         }
     }
+}
+
+/// Sum of `of` over columns and as many values, in [`CHAINS`] parts.
+#[inline(always)]
+fn in_chains<T: Copy + Default + Add<Output = T> + AddAssign, V>(
+    columns: &[u32],
+    values: &[V],
+    of: impl Fn(u32, &V) -> T,
+) -> T {
+    let mut sums = [T::default(); CHAINS];
+    let (mut columns, mut values) = (columns.chunks_exact(CHAINS), values.chunks_exact(CHAINS));
+    for (j, v) in columns.by_ref().zip(values.by_ref()) {
+        for k in 0..CHAINS {
+            sums[k] += of(j[k], &v[k]);
+        }
+    }
+    for (j, v) in columns.remainder().iter().zip(values.remainder()) {
+        sums[0] += of(*j, v);
+    }
+    (sums[0] + sums[1]) + (sums[2] + sums[3])
 }
 
 /// The first three numbers.

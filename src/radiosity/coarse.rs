@@ -1,4 +1,4 @@
-//! A second, coarse grid for the linear system of pass 1 of many elements.
+//! A second, coarse grid for the linear system of pass 1.
 //!
 //! Gathering, `K = F rho`, makes smooth irradiance of whatever radiosity there is: an equation of the second kind,
 //! of which patches of many elements hold all but a small part. With R the mean over each patch and P its
@@ -21,8 +21,16 @@ use rayon::prelude::*;
 
 /// Most patches: their matrix is inverted.
 const MOST_PATCHES: usize = 512;
-/// Elements from which on a coarse grid is worth its making.
-pub(super) const LEAST_ELEMENTS: usize = 1 << 14;
+/// Elements of a patch where these are not many. Measured (Cornell box of 3,441 to 20,500 elements, gallery): 100 to 200 take the
+/// least time, 32 a third more.
+const OF_A_PATCH: usize = 100;
+/// Elements from which on a coarse grid is worth its making in any case.
+const LEAST_ELEMENTS: usize = 1 << 14;
+/// Elements up to which none is: all steps together take milliseconds.
+const FEW: usize = 500;
+/// Of numbers in between, how many times that number the cube of the number of patches may be: the steps that a grid saves take a time
+/// in proportion to the elements, the inverse of its matrix one to that cube.
+const MOST_WORK: usize = 512;
 
 /// Patches and what they exchange.
 pub(super) struct Coarse {
@@ -38,9 +46,16 @@ pub(super) struct Coarse {
 }
 
 impl Coarse {
-    /// Of the factors between a mesh's elements.
-    pub fn new(scene: &Scene, mesh: &Mesh, matrix: &ExchangeMatrix, transport: &Transport) -> Coarse {
-        let (patch, count) = patches(scene, mesh);
+    /// Of the factors between a mesh's elements; none where it would take longer than what it saves.
+    pub fn new(scene: &Scene, mesh: &Mesh, matrix: &ExchangeMatrix, transport: &Transport) -> Option<Coarse> {
+        let (n, sides) = (mesh.len(), mesh.sides().count());
+        // Of sides with fewer elements than a patch needs, there are runs.
+        let runs = sides > MOST_PATCHES / 2;
+        let most = if runs { n / OF_A_PATCH } else { (n / OF_A_PATCH).max(2 * sides) };
+        if n <= FEW || n < LEAST_ELEMENTS && (runs || most.pow(3) > MOST_WORK * n) {
+            return None;
+        }
+        let (patch, count) = patches(scene, mesh, most.min(MOST_PATCHES), runs);
         let mut first = vec![0; count + 1];
         patch.iter().for_each(|p| first[usize::from(*p) + 1] += 1);
         (0..count).for_each(|p| first[p + 1] += first[p]);
@@ -85,7 +100,7 @@ impl Coarse {
         };
         let mut bounced: Vec<Vec<f64>> = (0..3).into_par_iter().map(of_channel).collect();
         coarse.bounced = std::array::from_fn(|c| std::mem::take(&mut bounced[c]));
-        coarse
+        Some(coarse)
     }
 
     fn of_patch(&self, p: usize) -> &[u32] {
@@ -127,19 +142,18 @@ impl Coarse {
     }
 }
 
-/// The patch of each element, and how many there are: equal parts of sides of faces, or runs of elements where sides are many.
-fn patches(scene: &Scene, mesh: &Mesh) -> (Vec<u16>, usize) {
+/// The patch of each element, and how many there are: at most `most` equal parts of sides of faces, or runs of elements where sides
+/// are many.
+fn patches(scene: &Scene, mesh: &Mesh, most: usize, runs: bool) -> (Vec<u16>, usize) {
     let n = mesh.len();
-    let sides = mesh.sides().count();
-    if sides > MOST_PATCHES / 2 {
-        let count = MOST_PATCHES.min(n);
-        return ((0..n).map(|e| (e * count / n) as u16).collect(), count);
+    if runs {
+        return ((0..n).map(|e| (e * most / n) as u16).collect(), most);
     }
     let area: f64 = (0..n as u32).map(|e| mesh.area(e)).sum();
-    let mut size = (area / MOST_PATCHES as f64).sqrt();
+    let mut size = (area / most as f64).sqrt();
     loop {
         match Mesh::patches(scene, &mesh.sides(), size) {
-            Ok(coarse) if coarse.len() <= MOST_PATCHES => {
+            Ok(coarse) if coarse.len() <= most => {
                 let patch = |e: u32| {
                     let (face, front, cell) = mesh.place(e);
                     let uv = mesh.grid(face).centroid(cell);

@@ -1,7 +1,7 @@
 //! The linear system of pass 1 as a mesh's rows give it: for light, and for what light is worth.
 
 use super::Transport;
-use super::coarse::{self, Coarse};
+use super::coarse::Coarse;
 use super::exchange::{Exchange, residual_operator};
 use super::solve::{self, Acceleration, Convergence};
 use super::symmetric::{Groups, Symmetric};
@@ -51,11 +51,13 @@ impl<'m> System<'m> {
 
     /// What makes steps few.
     pub(super) fn acceleration(&self, scene: &Scene, mesh: &Mesh) -> Acceleration<'_, 'm> {
-        let many = self.exchange.rows.kept().filter(|_| mesh.len() >= coarse::LEAST_ELEMENTS);
-        match (Symmetric::new(&self.exchange, &self.transport, &self.side), many) {
-            (Some(symmetric), _) => Acceleration::Symmetric(symmetric),
-            (None, Some(matrix)) => Acceleration::Coarse(Coarse::new(scene, mesh, matrix, &self.transport)),
-            (None, None) => Acceleration::Balance(Groups::new(&self.side)),
+        if let Some(symmetric) = Symmetric::new(&self.exchange, &self.transport, &self.side) {
+            return Acceleration::Symmetric(symmetric);
+        }
+        let coarse = |matrix| Coarse::new(scene, mesh, matrix, &self.transport);
+        match self.exchange.rows.kept().and_then(coarse) {
+            Some(coarse) => Acceleration::Coarse(coarse),
+            None => Acceleration::Balance(Groups::new(&self.side)),
         }
     }
 
