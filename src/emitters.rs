@@ -15,6 +15,7 @@ use crate::sampling;
 use crate::scene::{FaceFrame, Scene};
 use crate::visibility::Visibility;
 use glam::{DVec3, Vec3};
+use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
 /// With more mirror planes than this (a faceted ball, say) images are not worth their cost.
@@ -24,6 +25,9 @@ const ON_MIRROR: f64 = 1e-9;
 const NONE: u32 = u32::MAX;
 /// As many emitting sides as are few: their light is calculated one by one for every element.
 const FEW: usize = 16;
+/// Share of the samples that lamps (all of an object that has one material) get in equal parts, whatever their power: the
+/// strongest may be in another room, and what lights this one would never be sampled.
+const FOR_EACH: f64 = 0.25;
 /// Rays that find the medium in front of an emitter, in scenes with glass.
 const MEDIUM_RAYS: u32 = 32;
 
@@ -118,18 +122,22 @@ impl Emitters {
                         radiance,
                         index2,
                         normal,
-                        density: face.area * index2,
+                        density: 0.0,
                         frame: scene.face_frame(face),
                     });
                 }
             }
         }
-        let total: f64 = sides.iter().map(|s| s.density * color::mean(s.radiance)).sum();
+        let power: Vec<f64> = sides
+            .iter()
+            .map(|s| scene.faces[s.face as usize].area * s.index2 * color::mean(s.radiance))
+            .collect();
         let (mut sum, mut cumulative) = (0.0, Vec::with_capacity(sides.len()));
-        for side in &mut sides {
-            sum += side.density * color::mean(side.radiance) / total;
+        let chances = chances(scene, &sides, &power);
+        for (side, chance) in sides.iter_mut().zip(chances) {
+            sum += chance;
             cumulative.push(sum);
-            side.density = color::mean(side.radiance) * side.index2 / total;
+            side.density = chance / scene.faces[side.face as usize].area;
         }
         let (mirrors, mirror_of) = mirror_planes(scene);
         Emitters { sides, cumulative, index, mirrors, mirror_of }
@@ -181,7 +189,7 @@ impl Emitters {
         }
     }
 
-    /// A point chosen in proportion to emitted power; `u` in [0, 1)^3.
+    /// A point of any side: its lamp is chosen by power for the most part, within a lamp sides by power; `u` in [0, 1)^3.
     pub fn sample(&self, u: [f64; 3]) -> Option<EmitterSample> {
         let k = self.cumulative.partition_point(|c| *c <= u[0]).min(self.sides.len().checked_sub(1)?);
         Some(self.on_side(k, [u[1], u[2]]))
@@ -267,12 +275,26 @@ impl Emitters {
     }
 }
 
+/// Chance of choosing each emitting side: of a sample's light anywhere, the powers decide, but for [`FOR_EACH`].
+fn chances(scene: &Scene, sides: &[EmitterSide], power: &[f64]) -> Vec<f64> {
+    let lamp = |s: &EmitterSide| {
+        let face = &scene.faces[s.face as usize];
+        (face.object, face.material)
+    };
+    let mut of_lamp = BTreeMap::new();
+    sides.iter().zip(power).for_each(|(s, p)| *of_lamp.entry(lamp(s)).or_insert(0.0) += p);
+    let total: f64 = power.iter().sum();
+    let equal = total / of_lamp.len() as f64;
+    let share = |s: &EmitterSide| (1.0 - FOR_EACH) / total + FOR_EACH / total * (equal / of_lamp[&lamp(s)]);
+    sides.iter().zip(power).map(|(s, p)| p * share(s)).collect()
+}
+
 /// Squared index of the medium in front of a side of a face: that of the glass whose inside most of its rays meet first.
 fn medium_index2(visibility: &Visibility, face: u32, normal: DVec3) -> f64 {
     let scene = visibility.scene();
     let frame = Frame::new(normal);
     let place = scene.face_frame(&scene.faces[face as usize]);
-    let mut inside = std::collections::BTreeMap::new();
+    let mut inside = BTreeMap::new();
     let mut votes = 0u32;
     for k in 0..MEDIUM_RAYS {
         let [u, v, a, b] = sampling::sobol(k, 0, 0);

@@ -21,14 +21,10 @@ use rayon::prelude::*;
 
 /// Most patches: their matrix is inverted.
 const MOST_PATCHES: usize = 512;
-/// Elements of a patch where these are not many. Measured (Cornell box of 3,441 to 20,500 elements, gallery): 100 to 200 take the
-/// least time, 32 a third more.
+/// Elements of a patch. Measured (Cornell box of 3,441 to 20,500 elements, gallery): solves take the least time with 100 to 200 and
+/// a third more with 32.
 const OF_A_PATCH: usize = 100;
-/// Elements from which on a coarse grid is worth its making in any case.
-const LEAST_ELEMENTS: usize = 1 << 14;
-/// Elements up to which none is: all steps together take milliseconds.
-const FEW: usize = 500;
-/// Of numbers in between, how many times that number the cube of the number of patches may be: the steps that a grid saves take a time
+/// Of fewer elements, how many times their number the cube of the number of patches may be: the steps that a grid saves take a time
 /// in proportion to the elements, the inverse of its matrix one to that cube.
 const MOST_WORK: usize = 512;
 
@@ -46,16 +42,9 @@ pub(super) struct Coarse {
 }
 
 impl Coarse {
-    /// Of the factors between a mesh's elements; none where it would take longer than what it saves.
-    pub fn new(scene: &Scene, mesh: &Mesh, matrix: &ExchangeMatrix, transport: &Transport) -> Option<Coarse> {
-        let (n, sides) = (mesh.len(), mesh.sides().count());
-        // Of sides with fewer elements than a patch needs, there are runs.
-        let runs = sides > MOST_PATCHES / 2;
-        let most = if runs { n / OF_A_PATCH } else { (n / OF_A_PATCH).max(2 * sides) };
-        if n <= FEW || n < LEAST_ELEMENTS && (runs || most.pow(3) > MOST_WORK * n) {
-            return None;
-        }
-        let (patch, count) = patches(scene, mesh, most.min(MOST_PATCHES), runs);
+    /// Of the factors between a mesh's elements.
+    pub fn new(scene: &Scene, mesh: &Mesh, matrix: &ExchangeMatrix, transport: &Transport) -> Coarse {
+        let (patch, count) = patches(scene, mesh);
         let mut first = vec![0; count + 1];
         patch.iter().for_each(|p| first[usize::from(*p) + 1] += 1);
         (0..count).for_each(|p| first[p + 1] += first[p]);
@@ -100,7 +89,7 @@ impl Coarse {
         };
         let mut bounced: Vec<Vec<f64>> = (0..3).into_par_iter().map(of_channel).collect();
         coarse.bounced = std::array::from_fn(|c| std::mem::take(&mut bounced[c]));
-        Some(coarse)
+        coarse
     }
 
     fn of_patch(&self, p: usize) -> &[u32] {
@@ -142,13 +131,16 @@ impl Coarse {
     }
 }
 
-/// The patch of each element, and how many there are: at most `most` equal parts of sides of faces, or runs of elements where sides
-/// are many.
-fn patches(scene: &Scene, mesh: &Mesh, most: usize, runs: bool) -> (Vec<u16>, usize) {
-    let n = mesh.len();
-    if runs {
-        return ((0..n).map(|e| (e * most / n) as u16).collect(), most);
+/// The patch of each element, and how many there are: equal parts of sides of faces, or runs of elements where sides are many.
+fn patches(scene: &Scene, mesh: &Mesh) -> (Vec<u16>, usize) {
+    let (n, sides) = (mesh.len(), mesh.sides().count());
+    let enough = n / OF_A_PATCH;
+    let most = (((MOST_WORK * n) as f64).cbrt() as usize).max(enough).min(MOST_PATCHES);
+    if 2 * sides > most {
+        let count = most.min(n);
+        return ((0..n).map(|e| (e * count / n) as u16).collect(), count);
     }
+    let most = enough.max(2 * sides).min(most);
     let area: f64 = (0..n as u32).map(|e| mesh.area(e)).sum();
     let mut size = (area / most as f64).sqrt();
     loop {

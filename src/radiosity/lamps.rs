@@ -10,7 +10,10 @@
 //!
 //! for any `beta` that does not depend on these samples (a control variate; Owen 2013, section 8.9). `beta` is the share that
 //! the *other* randomisations of the element saw, so the estimate has no bias; where everything is seen it is `E` itself, and
-//! where nothing is seen it is zero.
+//! where nothing is seen it is zero. Each emitter has its own: one that a wall hides leaves what another gives exact.
+//!
+//! Of scenes of few faces, geometry tells which emitters nothing can hide from a face, and which one face hides from all of it: these take
+//! no samples.
 //!
 //! Near emitters are sampled uniformly in solid angle (Arvo 1995), so that a weight is bounded however close the
 //! emitter comes: at an edge that lamp and wall share, area samples have infinite variance.
@@ -32,7 +35,7 @@ use std::f64::consts::PI;
 const ACCURACY: f64 = 1e-8;
 /// Emitters within so many of their radii are sampled by solid angle.
 const NEAR: f64 = 1.5;
-/// Scenes of more faces are not searched for what may hide an emitter: something may.
+/// Scenes of more faces are not searched for what hides an emitter: something may.
 const MOST_CHECKED: usize = 500;
 /// Samples that may be hidden, of those of a side that were not.
 const MISSED: f64 = 3.0;
@@ -46,8 +49,19 @@ pub(super) struct Lamps<'a, 's> {
     visibility: &'a Visibility<'s>,
     mesh: &'a Mesh,
     lamps: Vec<Lamp>,
-    /// By side: something may hide a lamp from it.
-    hidden: Vec<bool>,
+    /// By side and lamp; empty where faces are too many to be searched.
+    sights: Vec<Sight>,
+}
+
+/// How a whole emitter is seen from a whole face.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Sight {
+    /// Nothing is in between.
+    Free,
+    /// Something may be.
+    Doubtful,
+    /// One face hides all of it.
+    Hidden,
 }
 
 struct Lamp {
@@ -60,7 +74,7 @@ struct Lamp {
     frame: FaceFrame,
 }
 
-/// Sums over the samples of one randomisation.
+/// Sums over the samples of an emitter in one randomisation.
 #[derive(Clone, Copy, Default)]
 struct Sums {
     all: Rgb,
@@ -83,15 +97,23 @@ impl<'a, 's> Lamps<'a, 's> {
             Lamp { face, polygon, radiance, middle, radius, area: f.area, frame }
         };
         let lamps: Vec<Lamp> = emitters.are_few().then(|| emitters.sides().map(lamp).collect())?;
-        let mut lamps = Lamps { visibility, mesh, lamps, hidden: Vec::new() };
-        let hidden = |side: u32| {
-            let f = &scene.faces[side as usize / 2];
-            let polygon = Polygon::of_face(scene, f);
-            let front = side % 2 == 0;
-            let seen_from = if front { polygon } else { Polygon::new(polygon.corners(), -f.normal) };
-            mesh.first(side / 2, front) != NONE && lamps.may_be_hidden(&seen_from, side / 2)
+        let mut lamps = Lamps { visibility, mesh, lamps, sights: Vec::new() };
+        if scene.faces.len() > MOST_CHECKED {
+            return Some(lamps);
+        }
+        let faces: Vec<Polygon> = scene.faces.iter().map(|f| Polygon::of_face(scene, f)).collect();
+        let sights = |side: usize| {
+            let (face, front) = (side / 2, side % 2 == 0);
+            let polygon = &faces[face];
+            let seen_from = if front { *polygon } else { Polygon::new(polygon.corners(), -polygon.normal) };
+            let has_elements = mesh.first(face as u32, front) != NONE;
+            let sight = |lamp: &Lamp| match has_elements {
+                true => sight(&faces, scene.radius, (&seen_from, face as u32), lamp),
+                false => Sight::Doubtful,
+            };
+            lamps.lamps.iter().map(sight).collect::<Vec<Sight>>()
         };
-        lamps.hidden = (0..2 * scene.faces.len() as u32).into_par_iter().map(hidden).collect();
+        lamps.sights = (0..2 * faces.len()).into_par_iter().flat_map_iter(sights).collect();
         Some(lamps)
     }
 
@@ -113,92 +135,83 @@ impl<'a, 's> Lamps<'a, 's> {
             .iter()
             .map(|l| if l.face == place { 0.0 } else { exchange(&cell, &l.polygon, ACCURACY) / area * PI })
             .collect();
-        let strength: Vec<f64> =
-            exact.iter().zip(&self.lamps).map(|(e, l)| e * color::mean(l.radiance)).collect();
-        let total: f64 = strength.iter().sum();
+        let strength: &Vec<f64> =
+            &exact.iter().zip(&self.lamps).map(|(e, l)| e * color::mean(l.radiance)).collect();
+        let (face, front, _) = self.mesh.place(element);
+        let first = side_index(face, front) * self.lamps.len();
+        let sight = &|k: usize| self.sights.get(first + k).copied().unwrap_or(Sight::Doubtful);
+        let whole = |k: usize| exact[k] * self.lamps[k].radiance;
+        let of_kind = |kind: Sight| {
+            let lit = move |k: &usize| strength[*k] > 0.0 && sight(*k) == kind;
+            (0..self.lamps.len()).filter(lit)
+        };
+        let free: Rgb = of_kind(Sight::Free).map(whole).sum();
+        let total: f64 = of_kind(Sight::Doubtful).map(|k| strength[k]).sum();
         if total <= 0.0 {
-            return vec![EmitterIrradiance::default(); batches as usize];
+            let straight = EmitterIrradiance { straight: free, ..Default::default() };
+            return vec![straight; batches as usize];
         }
-        let whole: Rgb = exact.iter().zip(&self.lamps).map(|(e, l)| *e * l.radiance).sum();
         // Of a weak emitter a small part may be above the horizon: samples of it must not be too few to say which.
-        let weak = EVENLY / strength.iter().filter(|s| **s > 0.0).count() as f64;
-        let share = |s: &f64| if *s > 0.0 { weak + (1.0 - EVENLY) * s / total } else { 0.0 };
-        let chosen = Chosen { shares: strength.iter().map(share).collect() };
+        let weak = EVENLY / of_kind(Sight::Doubtful).count() as f64;
+        let mut shares = vec![0.0; self.lamps.len()];
+        of_kind(Sight::Doubtful).for_each(|k| shares[k] = weak + (1.0 - EVENLY) * strength[k] / total);
+        let chosen = Chosen { shares };
         let mut points = ScrambledPoints::default();
-        let sums: Vec<Sums> = (0..batches)
+        // By randomisation and emitter.
+        let sums: Vec<Vec<Sums>> = (0..batches)
             .map(|b| {
                 let seed = seed_of(&[seed, element, b, 0x1a3]);
                 table.scramble(&Scramble::new(seed), &mut points);
                 self.batch(element, &chosen, &points, seed)
             })
             .collect();
-        // Where something may hide an emitter and no sample met it, all randomisations agree and may yet be wrong: what n samples
-        // missed covers less than 3 / n (95 %). The spread of as much on the whole side: nothing but the standard error sees it.
-        let doubt = |b: usize| {
-            let (face, front, _) = self.mesh.place(element);
-            let side = self.hidden[side_index(face, front)];
-            let paired = 2 * (sums.len() / 2);
-            if !side || b >= paired {
-                return Rgb::ZERO;
-            }
-            let all = f64::from(batches * count.max(1)) * (self.mesh.grid(face).len() as f64).sqrt();
-            whole * (MISSED * ((batches - 1) as f64).sqrt() / all * if b % 2 == 0 { 1.0 } else { -1.0 })
-        };
-        let combine = |b: usize| {
-            // The share seen by the others; by the only one, where it is alone.
-            let others =
-                || sums.iter().enumerate().filter(|(k, _)| *k != b || sums.len() == 1).map(|(_, s)| s);
-            let (all, seen): (Rgb, Rgb) = (others().map(|s| s.all).sum(), others().map(|s| s.seen).sum());
-            let beta = color::mean(seen) / color::mean(all);
-            let beta = if beta.is_finite() { beta } else { 0.0 };
-            let n = f64::from(count.max(1));
-            let straight = sums[b].seen / n + beta * (whole - sums[b].all / n) + doubt(b);
-            EmitterIrradiance { straight, ..Default::default() }
-        };
-        let mut found: Vec<EmitterIrradiance> = (0..sums.len()).map(combine).collect();
-        // No more than all of an emitter can be seen, and no less than nothing. All randomisations move alike: their spread is true.
-        let mean = found.iter().map(|f| f.straight).sum::<Rgb>() / found.len() as f64;
-        let moved = mean.clamp(Rgb::ZERO, whole) - mean;
-        found.iter_mut().for_each(|f| f.straight += moved);
-        found
-    }
-
-    /// Whether some face could hide part of an emitter from a side of a face. A face cannot that has both of them on one
-    /// side of its plane, or that lies behind either one's plane.
-    fn may_be_hidden(&self, from: &Polygon, face: u32) -> bool {
-        let scene = self.visibility.scene();
-        if scene.faces.len() > MOST_CHECKED {
-            return true;
+        let n = f64::from(count.max(1));
+        let mut found = vec![free; batches as usize];
+        let mut most = Rgb::ZERO;
+        for k in of_kind(Sight::Doubtful) {
+            let whole = whole(k);
+            let estimate = |b: usize| {
+                // The share seen by the others; by the only one, where it is alone.
+                let others =
+                    || sums.iter().enumerate().filter(|(o, _)| *o != b || sums.len() == 1).map(|(_, s)| s[k]);
+                let (all, seen): (Rgb, Rgb) = (others().map(|s| s.all).sum(), others().map(|s| s.seen).sum());
+                let beta = color::mean(seen) / color::mean(all);
+                let beta = if beta.is_finite() { beta } else { 0.0 };
+                sums[b][k].seen / n + beta * (whole - sums[b][k].all / n)
+            };
+            let of_lamp: Vec<Rgb> = (0..sums.len()).map(estimate).collect();
+            // No more than all of an emitter can be seen, and no less than nothing. All randomisations move alike: their spread is
+            // true.
+            let mean = of_lamp.iter().sum::<Rgb>() / of_lamp.len() as f64;
+            let moved = mean.clamp(Rgb::ZERO, whole) - mean;
+            found.iter_mut().zip(&of_lamp).for_each(|(found, h)| *found += *h + moved);
+            most = most.max(whole / chosen.shares[k]);
         }
-        let eps = 1e-9 * scene.radius;
-        let ahead = |of: &Polygon, c: &DVec3| (*c - of.corners()[0]).dot(of.normal) > eps;
-        self.lamps.iter().filter(|l| l.face != face).any(|lamp| {
-            scene.faces.iter().enumerate().any(|(k, f)| {
-                if k as u32 == face || k as u32 == lamp.face {
-                    return false;
-                }
-                let screen = Polygon::of_face(scene, f);
-                let ends = || from.corners().iter().chain(lamp.polygon.corners());
-                let height = |c: &DVec3| (*c - screen.corners()[0]).dot(screen.normal);
-                screen.corners().iter().any(|c| ahead(from, c))
-                    && screen.corners().iter().any(|c| ahead(&lamp.polygon, c))
-                    && ends().any(|c| height(c) > eps)
-                    && ends().any(|c| height(c) < -eps)
-            })
-        })
+        // Where no sample met what hides an emitter, all randomisations agree and may yet be wrong: what n samples missed covers less
+        // than 3 / n (95 %) of all that they look at. The spread of as much on the whole side: nothing but the standard error sees it.
+        let all = f64::from(batches) * n * (self.mesh.grid(face).len() as f64).sqrt();
+        let doubt = most * (MISSED * (f64::from(batches) - 1.0).sqrt() / all);
+        let paired = 2 * (found.len() / 2);
+        found[..paired].chunks_exact_mut(2).for_each(|pair| {
+            pair[0] += doubt;
+            pair[1] -= doubt;
+        });
+        found.into_iter().map(|straight| EmitterIrradiance { straight, ..Default::default() }).collect()
     }
 
-    fn batch(&self, element: u32, chosen: &Chosen, points: &ScrambledPoints, seed: u32) -> Sums {
+    /// Sums of one randomisation, by emitter.
+    fn batch(&self, element: u32, chosen: &Chosen, points: &ScrambledPoints, seed: u32) -> Vec<Sums> {
         let scene = self.visibility.scene();
         let place = self.mesh.place_of(scene, element);
         let (face, normal) = (place.face, place.normal);
-        let mut sums = Sums::default();
+        let mut sums = vec![Sums::default(); self.lamps.len()];
         let mut packet = ShadowPacket::new();
-        let mut pending = [Rgb::ZERO; LANES];
+        let mut pending = [(0, Rgb::ZERO); LANES];
         let mut used = 0;
-        let flush = |packet: &mut ShadowPacket, pending: &[Rgb], sums: &mut Sums| {
+        let flush = |packet: &mut ShadowPacket, pending: &[(usize, Rgb)], sums: &mut [Sums]| {
             let blocked = self.visibility.occluded16(packet, false);
-            for (k, weight) in pending.iter().enumerate() {
+            for (k, (which, weight)) in pending.iter().enumerate() {
+                let sums = &mut sums[*which];
                 sums.all += *weight;
                 if blocked >> k & 1 == 0 {
                     sums.seen += *weight;
@@ -220,7 +233,7 @@ impl<'a, 's> Lamps<'a, 's> {
             if cos > 0.0 {
                 let origin = self.visibility.leave(face, point, normal);
                 packet.set(used, &self.visibility.segment(origin, lamp.face, target, lamp.polygon.normal));
-                pending[used] = lamp.radiance * (cos / (density * share));
+                pending[used] = (which, lamp.radiance * (cos / (density * share)));
                 used += 1;
                 if used == LANES {
                     flush(&mut packet, &pending, &mut sums);
@@ -233,6 +246,53 @@ impl<'a, 's> Lamps<'a, 's> {
         }
         sums
     }
+}
+
+/// How a lamp is seen from a face (its polygon with the normal of the side, and its number) among all `faces`.
+fn sight(faces: &[Polygon], radius: f64, (from, face): (&Polygon, u32), lamp: &Lamp) -> Sight {
+    let eps = 1e-9 * radius;
+    let ahead = |of: &Polygon, c: &DVec3| (*c - of.corners()[0]).dot(of.normal) > eps;
+    let others = faces.iter().enumerate().filter(|(k, _)| ![face, lamp.face].contains(&(*k as u32)));
+    let mut sight = Sight::Free;
+    for (_, screen) in others {
+        let height = |c: &DVec3| (*c - screen.corners()[0]).dot(screen.normal);
+        let ends = || from.corners().iter().chain(lamp.polygon.corners());
+        // A face hides nothing that has both of them on one side of its plane, or that lies behind either one's plane.
+        let may = screen.corners().iter().any(|c| ahead(from, c))
+            && screen.corners().iter().any(|c| ahead(&lamp.polygon, c))
+            && ends().any(|c| height(c) > eps)
+            && ends().any(|c| height(c) < -eps);
+        if !may {
+            continue;
+        }
+        if hides(screen, from, &lamp.polygon, eps) {
+            return Sight::Hidden;
+        }
+        sight = Sight::Doubtful;
+    }
+    sight
+}
+
+/// Whether a face meets every line between two others: they lie on either side of its plane, and the lines between their corners cross
+/// that within it. Every other line crosses it between these.
+fn hides(screen: &Polygon, a: &Polygon, b: &Polygon, eps: f64) -> bool {
+    let (o, n) = (screen.corners()[0], screen.normal);
+    let holds =
+        |c: DVec3| screen.edges().all(|(p, q)| (q - p).cross(c - p).dot(n) >= -eps * (q - p).length());
+    let heights = |of: &Polygon| of.corners().iter().map(|c| (*c, (*c - o).dot(n))).collect::<Vec<_>>();
+    let (mut near, mut far) = (heights(a), heights(b));
+    if near.iter().any(|c| c.1 > eps) {
+        std::mem::swap(&mut near, &mut far);
+    }
+    if near.iter().any(|c| c.1 > eps) || far.iter().any(|c| c.1 < -eps) {
+        return false;
+    }
+    near.iter().all(|(p, below)| {
+        far.iter().all(|(q, above)| {
+            let (below, above) = (below.min(0.0), above.max(0.0));
+            above - below > eps && holds((*p * above - *q * below) / (above - below))
+        })
+    })
 }
 
 /// Chances of the emitters.
@@ -355,6 +415,30 @@ mod tests {
             assert!(mean.min_element() >= -1e-12 * mean.abs().max_element(), "element {element}: {mean}");
         }
         assert!(below > 0, "no randomisation puts it to the test");
+    }
+
+    /// A wall hides a lamp where no line leads past it: from the floor at its foot too, but not where it ends a little below the lines
+    /// to the lamp's far corners, nor what is on its own side.
+    #[test]
+    fn walls_hide_what_is_behind_them() {
+        let polygon = |c: [[f64; 3]; 4], n: DVec3| Polygon::new(&c.map(DVec3::from), n);
+        let floor = polygon([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]], DVec3::Z);
+        let lamp =
+            polygon([[2.4, 0.4, 1.0], [2.4, 0.6, 1.0], [2.6, 0.6, 1.0], [2.6, 0.4, 1.0]], DVec3::NEG_Z);
+        let wall = |x: f64, top: f64| {
+            polygon([[x, 0.0, 0.0], [x, 1.0, 0.0], [x, 1.0, top], [x, 0.0, top]], DVec3::X)
+        };
+        // From the far end of the floor, lines to the near edge of the lamp are highest above the wall's foot: 1 / 2.4.
+        for (x, top, hidden) in
+            [(1.0, 1.0, true), (1.0, 0.4167, true), (1.0, 0.4166, false), (2.0, 1.0, true), (0.5, 1.0, false)]
+        {
+            for (a, b) in [(&floor, &lamp), (&lamp, &floor)] {
+                for wall in [wall(x, top), wall(x, top).turned()] {
+                    assert_eq!(hides(&wall, a, b, 1e-9), hidden, "wall at {x}, up to {top}");
+                }
+            }
+        }
+        assert!(!hides(&wall(-1.0, 1.0), &floor, &lamp, 1e-9));
     }
 
     /// Means of cosines over samples in solid angle are Lambert's factor: near, far, and seen edge-on. 4,096 Sobol points: the

@@ -51,13 +51,10 @@ impl<'m> System<'m> {
 
     /// What makes steps few.
     pub(super) fn acceleration(&self, scene: &Scene, mesh: &Mesh) -> Acceleration<'_, 'm> {
-        if let Some(symmetric) = Symmetric::new(&self.exchange, &self.transport, &self.side) {
-            return Acceleration::Symmetric(symmetric);
-        }
-        let coarse = |matrix| Coarse::new(scene, mesh, matrix, &self.transport);
-        match self.exchange.rows.kept().and_then(coarse) {
-            Some(coarse) => Acceleration::Coarse(coarse),
-            None => Acceleration::Balance(Groups::new(&self.side)),
+        match (Symmetric::new(&self.exchange, &self.transport, &self.side), self.exchange.rows.kept()) {
+            (Some(symmetric), _) => Acceleration::Symmetric(symmetric),
+            (None, Some(matrix)) => Acceleration::Coarse(Coarse::new(scene, mesh, matrix, &self.transport)),
+            (None, None) => Acceleration::Balance(Groups::new(&self.side)),
         }
     }
 
