@@ -5,7 +5,7 @@ use crate::npz::Writer;
 use std::io::{Result as IoResult, Seek, Write};
 
 /// What `scipy.sparse.load_npz` reads: CSR, f64, sorted columns, \[rows, nodes\]. Beside it, for `numpy.load`:
-/// `standard_error` of the stored entries in their order (where there are), `area` \[nodes\], `escaped` and
+/// `standard_error` of the stored entries in their order (none of hemi-cubes in one position each), `area` \[nodes\], `escaped` and
 /// `absorbed` \[rows\], `objects` (names of the objects' sides) and `object` \[nodes\], an index into these.
 ///
 /// # Errors
