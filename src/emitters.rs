@@ -290,7 +290,7 @@ fn chances(scene: &Scene, sides: &[EmitterSide], power: &[f64]) -> Vec<f64> {
 }
 
 /// Squared index of the medium in front of a side of a face: that of the glass whose inside most of its rays meet first.
-fn medium_index2(visibility: &Visibility, face: u32, normal: DVec3) -> f64 {
+pub(crate) fn medium_index2(visibility: &Visibility, face: u32, normal: DVec3) -> f64 {
     let scene = visibility.scene();
     let frame = Frame::new(normal);
     let place = scene.face_frame(&scene.faces[face as usize]);

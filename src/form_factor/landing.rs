@@ -2,11 +2,13 @@
 
 use super::raycast::{AtSpecular, Casting};
 use crate::embree::{Hits, LANES};
-use crate::mesh::{Mesh, NONE};
-use crate::scene::Scene;
-use crate::visibility::{FaceSides, SideTable};
+use crate::emitters::medium_index2;
+use crate::mesh::{Mesh, NONE, side_index};
+use crate::visibility::{FaceSides, SideTable, Visibility};
 use glam::Vec3;
 use pulp::Simd;
+use rayon::prelude::*;
+use rustc_hash::FxHashMap;
 
 /// An emitter whose light is gathered on the way.
 pub(super) const EMITTER: u8 = 1;
@@ -19,8 +21,15 @@ pub(super) const ABSORBED: u8 = 8;
 /// No face at all.
 pub(super) const ESCAPED: u8 = 16;
 
+/// What ends here without an element does so inside of glass.
+pub(super) const IMMERSED: u8 = 32;
+
 /// The faces of a scene, their cells numbered as elements.
-pub(super) struct Targets(SideTable);
+pub(super) struct Targets {
+    table: SideTable,
+    /// Squared index of the medium of the sides that are [`IMMERSED`], by [`side_index`].
+    immersed: FxHashMap<usize, f64>,
+}
 
 /// Where the rays of a packet landed.
 pub(super) struct Landings {
@@ -42,7 +51,8 @@ pub(super) struct Landing {
 }
 
 impl Targets {
-    pub(super) fn new(scene: &Scene, mesh: &Mesh, casting: &Casting) -> Targets {
+    pub(super) fn new(visibility: &Visibility, mesh: &Mesh, casting: &Casting) -> Targets {
+        let scene = visibility.scene();
         let follow = casting.specular != AtSpecular::End;
         let kind = |k: u32, front: bool| {
             let material = scene.material(&scene.faces[k as usize]);
@@ -56,23 +66,45 @@ impl Targets {
                 | (UNREACHED * u8::from(unreached))
                 | (ABSORBED * u8::from(absorbed))
         };
+        // Elements tell by their own rays where they lie; nothing else does so of sides without any.
+        let faces = 0..scene.faces.len() as u32;
+        let glass = follow && scene.faces.iter().any(|f| scene.material(f).bends());
+        let asked = faces.clone().into_par_iter().filter(|_| glass);
+        let asked = asked.flat_map_iter(|k| [true, false].map(|front| (k, front)));
+        let asked = asked.filter(|&(k, front)| kind(k, front) & (ABSORBED | UNREACHED) == ABSORBED);
+        let immersed: FxHashMap<usize, f64> = asked
+            .map(|(k, front)| {
+                let normal = scene.faces[k as usize].normal;
+                let normal = if front { normal } else { -normal };
+                (side_index(k, front), medium_index2(visibility, k, normal))
+            })
+            .filter(|(_, index2)| *index2 != 1.0)
+            .collect();
         let sides = |k: u32| {
             let first = [true, false].map(|front| mesh.first(k, front));
-            let kind = [true, false].map(|front| kind(k, front));
+            let kind = [true, false].map(|front| {
+                let immersed = immersed.contains_key(&side_index(k, front));
+                kind(k, front) | IMMERSED * u8::from(immersed)
+            });
             FaceSides::new(&scene.faces[k as usize], mesh.grid(k).clone(), first, kind)
         };
-        Targets(SideTable::new((0..scene.faces.len() as u32).map(sides), ESCAPED))
+        Targets { table: SideTable::new(faces.map(sides), ESCAPED), immersed }
+    }
+
+    /// Squared index of the medium in front of a side that is [`IMMERSED`].
+    pub(super) fn index2(&self, face: u32, front: bool) -> f64 {
+        self.immersed.get(&side_index(face, front)).copied().unwrap_or(1.0)
     }
 
     /// From now on emitters are met like any other surface.
     pub(super) fn forget_emitters(&mut self) {
-        self.0.without(EMITTER);
+        self.table.without(EMITTER);
     }
 
     /// Where a ray landed that came to (u, v) of a face; a face that there is not stands for none.
     #[inline(always)]
     pub(super) fn landing(&self, face: u32, (u, v): (f32, f32), direction: Vec3) -> Landing {
-        let face = self.0.face(face);
+        let face = self.table.face(face);
         let side = face.met(direction);
         let column = match face.first[side] {
             NONE => NONE,
@@ -84,13 +116,13 @@ impl Targets {
     /// The face that stands for none in the hits of packets.
     #[inline(always)]
     pub(super) fn none(&self) -> u32 {
-        self.0.none()
+        self.table.none()
     }
 
     /// Where the rays of a packet landed.
     #[inline(always)]
     pub(super) fn landings<S: Simd>(&self, simd: S, hits: &Hits) -> Landings {
-        let sides = self.0.lanes(simd, hits);
+        let sides = self.table.lanes(simd, hits);
         Landings { column: sides.cells(simd), kind: sides.kind }
     }
 }

@@ -13,7 +13,7 @@ mod tests;
 use super::gathered::{EmitterRows, EmitterWork, add_batch};
 use super::immersed::{Immersed, settle};
 use super::landed::{Landed, POINTS};
-use super::landing::{ABSORBED, EMITTER, ESCAPED, SPECULAR, Targets, UNREACHED};
+use super::landing::{ABSORBED, EMITTER, ESCAPED, IMMERSED, SPECULAR, Targets, UNREACHED};
 use super::matrix::{ExchangeMatrix, RowSummary};
 use super::rows::{Block, Builder};
 use super::source::{Lanes, groups, shared};
@@ -197,7 +197,7 @@ impl<'a, 's> Caster<'a, 's> {
             batches,
             channels: if coloured { 3 } else { 1 },
             chains: Chains::new(visibility, casting.emitters.map(|e| e.0)),
-            targets: Targets::new(scene, mesh, casting),
+            targets: Targets::new(visibility, mesh, casting),
             arch: Arch::new(),
             normals: scene.faces.iter().map(|f| f.normal.as_vec3()).collect(),
         }
@@ -378,7 +378,7 @@ impl<'a, 's> Caster<'a, 's> {
                 let kind = landings.kind[l];
                 escaped[l] += u32::from(kind & u32::from(ESCAPED) != 0);
                 let own = u32::from(hits.face[l] == face[l]);
-                other[l] = kind & u32::from(EMITTER | SPECULAR | UNREACHED) | own;
+                other[l] = kind & u32::from(EMITTER | SPECULAR | UNREACHED | IMMERSED) | own;
                 let ends = if other[l] == 0 { kind } else { 0 };
                 absorbed[l] += u32::from(ends & u32::from(ABSORBED) != 0);
             }
@@ -482,20 +482,5 @@ impl<'a, 's> Caster<'a, 's> {
         }
         scratch.tally.drain(|column, weight| builder.push(column, weight));
         builder.end_batch();
-    }
-
-    /// The rays of the `k`-th element of a group, if some of them began inside of glass.
-    fn immersed(&self, scratch: &Scratch, element: u32, k: usize) -> Option<Immersed> {
-        let places = || (0..self.batches).map(|batch| self.place(scratch, k, batch));
-        let fates = || places().map(|place| &scratch.fates[place]);
-        let inside: u32 = fates().map(|f| f.inside).sum();
-        if inside == 0 {
-            return None;
-        }
-        let landed = (0..self.batches).flat_map(|batch| scratch.landed.row(batch as usize, k).flatten());
-        let mut landed: Vec<u32> = landed.copied().filter(|c| *c != NONE).collect();
-        landed.sort_unstable();
-        let open = self.rays_per_row() - fates().map(|f| f.covered).sum::<u32>();
-        Some(Immersed { element, inside, index2: fates().map(|f| f.index2).sum(), open, landed })
     }
 }

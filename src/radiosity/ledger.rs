@@ -93,7 +93,8 @@ impl Ledger {
         let mut taken = vec![Rgb::ZERO; mesh.len()];
         let mut left = vec![Rgb::ZERO; mesh.len()];
         let mut kept = vec![Rgb::ONE; mesh.len()];
-        let open: Vec<f64> = rows.summary().iter().map(|s| s.exposed).collect();
+        // A diffuse surface of glass passes radiance over index squared on to its other side as it is, not power.
+        let open: Vec<f64> = rows.summary().iter().map(|s| s.exposed * s.index2).collect();
         for e in 0..mesh.len() {
             let s = &rows.summary()[e];
             // Radiance is carried over index squared.

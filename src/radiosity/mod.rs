@@ -282,7 +282,7 @@ impl Transport {
     }
 
     /// Of the power that an element receives, the share that it gives back on either side; `open` are the shares that
-    /// [`Transport::conserve`] was given.
+    /// [`Transport::conserve`] was given, times the squared index of the medium in front.
     fn given_back(&self, e: usize, open: &[f64]) -> Rgb {
         let through = match self.opposite[e] {
             NONE => Rgb::ZERO,

@@ -1,7 +1,8 @@
 //! Rays that do not end where they first land: what they bring over specular chains, and from emitters.
 
 use super::super::gathered::EmitterIrradiance;
-use super::super::landing::{ABSORBED, EMITTER, SPECULAR, UNREACHED};
+use super::super::immersed::Immersed;
+use super::super::landing::{ABSORBED, EMITTER, IMMERSED, SPECULAR, UNREACHED};
 use super::super::source::Source;
 use super::super::specular::{Carried, Link, pass_on};
 use super::{AtSpecular, Caster, Scratch};
@@ -17,8 +18,8 @@ use glam::{DVec3, Vec3};
 const LEAST: f64 = 0.02;
 
 impl Caster<'_, '_> {
-    /// A ray that met its own face, an emitter, a specular surface or a side that no light can reach; `at` is the place in the group,
-    /// the randomisation and the point, `l` the lane of the packet.
+    /// A ray that met its own face, an emitter, a specular surface, a black one inside of glass or a side that no light can reach;
+    /// `at` is the place in the group, the randomisation and the point, `l` the lane of the packet.
     #[cold]
     pub(super) fn beyond(&self, scratch: &mut Scratch, source: &Source, at: (usize, u32, u32), l: usize) {
         let (k, batch, point) = at;
@@ -36,6 +37,10 @@ impl Caster<'_, '_> {
             return;
         }
         fate.absorbed += u32::from(met.kind & ABSORBED != 0);
+        if met.kind & IMMERSED != 0 {
+            fate.index2 += self.targets.index2(hit.face, hit.front) - 1.0;
+            fate.inside += 1;
+        }
         scratch.landed.set(batch as usize, k, point as usize, met.column);
         if met.kind & (EMITTER | SPECULAR) == 0 {
             return;
@@ -139,6 +144,36 @@ impl Caster<'_, '_> {
         chains.dropped += end.dropped;
         chains.roulette += end.roulette;
         scratch.cast += u64::from(end.rays);
+    }
+
+    /// The rays of the `k`-th element of a group, if some of them began inside of glass.
+    pub(super) fn immersed(&self, scratch: &Scratch, element: u32, k: usize) -> Option<Immersed> {
+        let places = || (0..self.batches).map(|batch| self.place(scratch, k, batch));
+        let fates = || places().map(|place| &scratch.fates[place]);
+        let inside: u32 = fates().map(|f| f.inside).sum();
+        if inside == 0 {
+            return None;
+        }
+        let landed = (0..self.batches).flat_map(|batch| scratch.landed.row(batch as usize, k).flatten());
+        let mut landed: Vec<u32> = landed.copied().filter(|c| *c != NONE).collect();
+        landed.sort_unstable();
+        // Diffuse glass has elements on its back too: rays that met these are among those inside already.
+        let mut last = (NONE, false);
+        landed.retain(|&column| {
+            if column != last.0 {
+                last = (column, !self.is_inside_of_glass(column));
+            }
+            last.1
+        });
+        let open = self.rays_per_row() - fates().map(|f| f.covered).sum::<u32>();
+        Some(Immersed { element, inside, index2: fates().map(|f| f.index2).sum(), open, landed })
+    }
+
+    /// Whether an element is the back of the surface of a glass body.
+    fn is_inside_of_glass(&self, element: u32) -> bool {
+        let (face, front, _) = self.mesh.place(element);
+        let scene = self.visibility.scene();
+        !front && scene.material(&scene.faces[face as usize]).bends()
     }
 }
 
