@@ -160,6 +160,53 @@ fn a_compressed_solution_is_read() {
     files.fails(&[&render], 1, &["n.npz", "damaged", "node_reflected holds NaN"]);
 }
 
+/// The solution file `from` with all its tables in Fortran order, as NumPy writes those that are contiguous by columns.
+fn write_by_columns(files: &Files, from: &str, to: &str) -> usize {
+    let mut stored = zip::ZipArchive::new(fs::File::open(files.path(from)).unwrap()).unwrap();
+    let mut turned = zip::ZipWriter::new(fs::File::create(files.path(to)).unwrap());
+    let mut tables = 0;
+    for k in 0..stored.len() {
+        let mut entry = stored.by_index(k).unwrap();
+        let mut bytes = Vec::new();
+        entry.read_to_end(&mut bytes).unwrap();
+        let shape = npyz::NpyFile::new(&bytes[..]).unwrap().shape().to_vec();
+        if let [rows, columns] = shape.iter().map(|n| *n as usize).collect::<Vec<_>>()[..] {
+            tables += 1;
+            let end = 1 + bytes.iter().position(|b| *b == b'\n').unwrap();
+            let at = bytes[..end].windows(5).position(|w| w == b"False").unwrap();
+            bytes[at..at + 5].copy_from_slice(b"True ");
+            let values = bytes[end..].to_vec();
+            let size = values.len() / (rows * columns);
+            for (k, value) in bytes[end..].chunks_exact_mut(size).enumerate() {
+                let i = k % rows * columns + k / rows;
+                value.copy_from_slice(&values[i * size..][..size]);
+            }
+        }
+        turned.start_file(entry.name().to_string(), zip::write::SimpleFileOptions::default()).unwrap();
+        turned.write_all(&bytes).unwrap();
+    }
+    turned.finish().unwrap();
+    tables
+}
+
+/// Tables that NumPy wrote by columns are the same solution, those of an adaptive mesh too.
+#[test]
+fn a_solution_in_fortran_order_is_read() {
+    let files = Files::diffuse();
+    files.solve();
+    files.done(&[&["solve", "scene.toml", "-o", "a.npz", "--adaptive", "--quiet"], &QUICK]);
+    for (solution, tables) in [("s.npz", 12), ("a.npz", 13)] {
+        assert_eq!(write_by_columns(&files, solution, "f.npz"), tables);
+        for quality in ["mesh", "direct"] {
+            let render = ["render", "scene.toml", "--quality", quality];
+            files.done(&[&render, &PASS2, &["-o", "a.exr", "--solution", solution]]);
+            files.done(&[&render, &PASS2, &["-o", "b.exr", "--solution", "f.npz"]]);
+            let (a, b) = (files.pixels("a.exr"), files.pixels("b.exr"));
+            assert!(a == b && a.iter().any(|v| f32::from_bits(*v) > 0.0), "{solution}, {quality}");
+        }
+    }
+}
+
 /// A frame does not depend on which others are rendered, nor on where pass 1 came from.
 #[test]
 fn frames_do_not_depend_on_the_range() {

@@ -188,20 +188,32 @@ impl<'a> Arrays<'a> {
         self.npz.bytes(name, most).map_err(|e| self.damaged(format!("{name}: {e}")))
     }
 
-    /// The values of an array, which has `shape` where one is given.
-    fn values<T: Deserialize>(&self, name: &str, bytes: &[u8], shape: Option<&[u64]>) -> Result<Vec<T>> {
+    /// The values of an array, rows first, which has `shape` where one is given.
+    fn values<T: Deserialize + Copy>(
+        &self,
+        name: &str,
+        bytes: &[u8],
+        shape: Option<&[u64]>,
+    ) -> Result<Vec<T>> {
         let read = || -> std::io::Result<Vec<T>> {
             let file = NpyFile::new(bytes)?;
             let (is, items) = (file.shape().to_vec(), (bytes.len() / size_of::<T>().max(1)) as u128);
             if shape.is_some_and(|s| s != is) || is.iter().map(|n| u128::from(*n)).product::<u128>() > items {
                 return Err(std::io::Error::other(format!("its shape is {is:?}")));
             }
-            file.into_vec()
+            // Of arrays that are not contiguous by rows, as slices and transposes, NumPy writes columns first.
+            let columns_first = is.len() > 1 && file.order() == npyz::Order::Fortran;
+            let values = file.into_vec()?;
+            match is[..] {
+                _ if !columns_first => Ok(values),
+                [rows, columns] => Ok(rows_first(&values, rows as usize, columns as usize)),
+                _ => Err(std::io::Error::other("it is in Fortran order")),
+            }
         };
         read().map_err(|e| self.damaged(format!("{name}: {e}")))
     }
 
-    fn get<T: Deserialize>(&mut self, name: &str, shape: &[u64]) -> Result<Vec<T>> {
+    fn get<T: Deserialize + Copy>(&mut self, name: &str, shape: &[u64]) -> Result<Vec<T>> {
         let most = shape.iter().product::<u64>() * size_of::<T>() as u64;
         match self.bytes(name, most)? {
             Some(bytes) => self.values(name, &bytes, Some(shape)),
@@ -312,4 +324,9 @@ impl<'a> Arrays<'a> {
 
 fn triples(npz: &mut Writer<impl Write + Seek>, name: &str, values: &[Rgb]) -> std::io::Result<()> {
     npz.array(name, &[values.len() as u64, 3], values.iter().flat_map(|v| v.to_array()))
+}
+
+/// The values of a table that are stored by columns, by rows.
+fn rows_first<T: Copy>(values: &[T], rows: usize, columns: usize) -> Vec<T> {
+    (0..rows * columns).map(|i| values[i % columns * rows + i / columns]).collect()
 }
