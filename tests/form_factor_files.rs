@@ -289,3 +289,15 @@ fn heat_maps_show_large_factors_bright() {
     assert!((2 * 64 * 64..3 * 64 * 64).contains(&zero), "{zero}");
     assert!(bright > 64 * 64 && bright < 3 * 64 * 64, "{bright}");
 }
+
+/// Where nothing is specular, chains change nothing: the factors are those pair by pair, exact to the last digit.
+#[test]
+fn chains_where_nothing_is_specular_change_nothing() {
+    let plates = Folder::plates();
+    let table = |args: &[&str]| {
+        plates.done(&[&["--by-object", "--element-size", "1", "--quiet", "-o", "t.json"], args].concat());
+        floats(&plates.json("t.json")["form_factors"][0])[1]
+    };
+    let (plain, chain) = (table(&[]), table(&["--mirror", "chain"]));
+    assert!(plain == chain && (chain - 0.199_824_895_698).abs() < 1e-9, "{plain} {chain}");
+}

@@ -15,7 +15,7 @@ use crate::mesh::{Mesh, Sides, default_element_size};
 use crate::output::{write_whole, write_whole_with};
 use crate::pipeline::{self, Event, Pass1, Stage};
 use crate::report::{FactorReport, Report, Versions, command_line};
-use crate::scene::{Scene, load};
+use crate::scene::{Face, Scene, load};
 use crate::visibility::Visibility;
 use crate::{Error, Result};
 use std::io::Write;
@@ -185,7 +185,9 @@ impl Run<'_> {
                         (matrix.map(Found::by_rows), rays)
                     });
                 }
-                if self.args.mirror != MirrorArg::Chain {
+                // Where nothing is specular no chain begins, and factors pair by pair are the better ones.
+                let specular = |f: &Face| self.scene.material(f).is_specular();
+                if self.args.mirror != MirrorArg::Chain || !self.scene.faces.iter().any(specular) {
                     return Ok(pipeline::stage("form-factors", count, observer, self.stages, || {
                         let request = Request {
                             rays: settings.rays,
