@@ -301,3 +301,20 @@ fn chains_where_nothing_is_specular_change_nothing() {
     let (plain, chain) = (table(&[]), table(&["--mirror", "chain"]));
     assert!(plain == chain && (chain - 0.199_824_895_698).abs() < 1e-9, "{plain} {chain}");
 }
+
+/// Names tell sides apart, or there are none.
+#[test]
+fn backs_whose_names_are_taken_are_refused() {
+    let square = |z: f64| vec![vec![[0.0, 0.0, z], [1.0, 0.0, z], [1.0, 1.0, z], [0.0, 1.0, z]]];
+    let folder = Folder::new(&[("b:back", square(0.0)), ("b", square(1.0))]);
+    let (code, stderr) = folder.run(&["--by-object", "--two-sided", "-o", "t.json"]);
+    assert_eq!(code, 1, "{stderr}");
+    for part in ["object \"b:back\"", "object \"b\"", "rename", "--two-sided"] {
+        assert!(stderr.contains(part), "{part:?}: {stderr}");
+    }
+    assert!(!folder.path("t.json").exists());
+    folder.done(&["--by-object", "-o", "t.json"]);
+    let other = Folder::new(&[("b:back", square(0.0)), ("c", square(1.0))]);
+    other.done(&["--by-object", "--two-sided", "--rays", "64", "-o", "t.json"]);
+    assert_eq!(other.json("t.json")["objects"], serde_json::json!(["b:back", "c", "b:back:back", "c:back"]));
+}

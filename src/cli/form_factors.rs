@@ -53,6 +53,9 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
     let mut stages: Vec<Stage> = Vec::new();
     let scene = pipeline::stage("load", 0, observer, &mut stages, || (load(&args.scene), 0))?;
     spare_inputs(&scene.files, files)?;
+    if args.two_sided && args.view.is_none() {
+        export::check_names_of_backs(&scene)?;
+    }
     let mut warnings = options::idle_of_form_factors(args);
     warnings.extend(scene.warnings.iter().cloned());
     warnings.iter().for_each(|w| progress.warn(w));

@@ -16,10 +16,14 @@ use super::{Estimates, ExchangeMatrix, Found, ObjectTable};
 use crate::color::{self, Rgb};
 use crate::mesh::Mesh;
 use crate::scene::Scene;
+use crate::{Error, Result};
 use rayon::prelude::*;
+use std::collections::HashSet;
 use std::ops::Range;
 use sums::Sums;
 
+/// What the name of an object's back ends in.
+const BACK: &str = ":back";
 /// Rows that a thread turns into factors at a time.
 const PART: usize = 256;
 
@@ -315,9 +319,27 @@ pub(super) fn sides(scene: &Scene, mesh: &Mesh) -> ObjectSides {
         })
         .collect();
     if backs {
-        names.extend(scene.objects.iter().map(|name| format!("{name}:back")));
+        names.extend(scene.objects.iter().map(|name| format!("{name}{BACK}")));
     }
     ObjectSides { names, of_element }
+}
+
+/// Makes sure that names tell the sides of all objects apart.
+///
+/// # Errors
+/// An object is called as the back of another one is.
+pub fn check_names_of_backs(scene: &Scene) -> Result<()> {
+    let objects: HashSet<&str> = scene.objects.iter().map(String::as_str).collect();
+    let mut backs = scene.objects.iter().filter_map(|name| Some((name, name.strip_suffix(BACK)?)));
+    match backs.find(|(_, other)| objects.contains(other)) {
+        None => Ok(()),
+        Some((name, other)) => Err(Error::scene(
+            format!("object \"{name}\""),
+            format!(
+                "the back of object \"{other}\" has that name in factors of both sides: rename one of the two, or leave out --two-sided"
+            ),
+        )),
+    }
 }
 
 fn emissivity(scene: &Scene, face: u32) -> f64 {
