@@ -289,6 +289,38 @@ fn a_library_named_twice_is_read_once() {
     assert_warning(&scene, &["s.obj:2", "gone.mtl"]);
 }
 
+/// Objects are told apart by the last `o` or `g` alone, and who names groups alike in several `o` is told.
+#[test]
+fn groups_of_one_name_in_several_objects_are_told() {
+    let square = |z: usize| {
+        let k = 4 * z;
+        let face = format!("f {} {} {} {}\n", k + 1, k + 2, k + 3, k + 4);
+        format!("v 0 0 {z}\nv 1 0 {z}\nv 1 1 {z}\nv 0 1 {z}\n{face}")
+    };
+    let scene = |heads: &[&str]| {
+        let text: String =
+            heads.iter().enumerate().map(|(k, head)| format!("{head}\n{}", square(k))).collect();
+        load_obj(&text).unwrap()
+    };
+    let chairs = scene(&["o chair1\ng seat", "o chair2\ng seat", "g back", "o chair3\ng seat", "g back"]);
+    assert_eq!(chairs.objects, ["seat", "back"]);
+    assert_warning(&chairs, &["group \""]);
+    assert_warning(
+        &chairs,
+        &["s.obj:9: ", "\"seat\" is in 3 objects (\"chair1\", \"chair2\", \"chair3\")", "1 other group"],
+    );
+    // An object goes on under its name, and groups without any `o` do.
+    for heads in [&["o a\ng x", "g y", "o a\ng x"][..], &["g x", "g y", "g x"], &["o a", "o b", "o a\ng a"]] {
+        let scene = scene(heads);
+        assert_eq!(scene.objects.len(), 2, "{heads:?}");
+        assert!(!scene.warnings.iter().any(|w| w.contains("group")), "{heads:?}: {:?}", scene.warnings);
+    }
+    assert_warning(
+        &scene(&["o seat", "o chair\ng seat"]),
+        &["\"seat\" is in 2 objects (\"seat\", \"chair\")"],
+    );
+}
+
 #[test]
 fn shading_normals_are_kept_where_they_say_something() {
     let corners = "v 0 0 0\nv 2 0 0\nv 0 2 0\nv 0 0 5\nv 2 0 5\nv 0 2 5\n";

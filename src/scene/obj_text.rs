@@ -6,12 +6,15 @@
 //! behind faces and tabs behind `usemtl`, and reports no line numbers.
 
 use crate::error::{Error, Result};
-use std::collections::HashMap;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fmt::Write;
 use std::path::Path;
 
 /// Name of faces that come before any `o` or `g`.
 const UNNAMED: &str = "unnamed";
+
+/// Objects named in one warning.
+const NAMED: usize = 3;
 
 /// Statements that neither place nor colour a polygon.
 const HARMLESS: [&str; 10] = ["s", "vt", "p", "l", "mg", "lod", "bevel", "c_interp", "d_interp", "usemap"];
@@ -70,8 +73,18 @@ struct Scan<'a> {
     textures: usize,
     /// References to what the file had not defined yet: kind, index and line.
     ahead: Vec<(Kind, usize, usize)>,
+    /// What the last `o` or `g` names, and its line.
     object: Option<usize>,
+    head: usize,
     material: Option<usize>,
+    /// What the last `o` names.
+    whole: Option<usize>,
+    /// Object and `o` that the last face was in.
+    last: (Option<usize>, Option<usize>),
+    /// By object, the `o` that its faces were in.
+    wholes: BTreeMap<usize, BTreeSet<Option<usize>>>,
+    /// Objects whose faces were in several `o`, each with the line that names it in the second of these.
+    joined: Vec<(usize, usize)>,
     object_indices: HashMap<String, usize>,
     material_indices: HashMap<String, usize>,
     /// Object and material that `faces` is at.
@@ -118,7 +131,12 @@ impl<'a> Scan<'a> {
             textures: 0,
             ahead: Vec::new(),
             object: None,
+            head: 0,
             material: None,
+            whole: None,
+            last: (None, None),
+            wholes: BTreeMap::new(),
+            joined: Vec::new(),
             object_indices: HashMap::new(),
             material_indices: HashMap::new(),
             written: (None, None),
@@ -147,6 +165,10 @@ impl<'a> Scan<'a> {
             "o" | "g" => {
                 let name = if rest.is_empty() { UNNAMED } else { rest };
                 self.object = Some(index_of(&mut self.object_indices, &mut self.out.objects, name));
+                self.head = self.line;
+                if keyword == "o" {
+                    self.whole = self.object;
+                }
             }
             "usemtl" if rest.is_empty() => return Err(self.error("usemtl without a material name")),
             "usemtl" => {
@@ -224,6 +246,13 @@ impl<'a> Scan<'a> {
         }
         if self.object.is_none() {
             self.object = Some(index_of(&mut self.object_indices, &mut self.out.objects, UNNAMED));
+        }
+        if let (Some(object), true) = (self.object, self.last != (self.object, self.whole)) {
+            self.last = (self.object, self.whole);
+            let wholes = self.wholes.entry(object).or_default();
+            if wholes.insert(self.whole) && wholes.len() == 2 {
+                self.joined.push((object, self.head));
+            }
         }
         let current = (self.object, self.material);
         if current != self.written {
@@ -314,11 +343,35 @@ impl<'a> Scan<'a> {
         rest.split_whitespace().map(number).collect()
     }
 
+    /// Warns of groups that are told apart by their `o` alone: these are one object here.
+    fn tell_joined(&mut self) {
+        let Some(&(object, line)) = self.joined.first() else { return };
+        let name = |o: &Option<usize>| o.map_or(UNNAMED, |o| self.out.objects[o].as_str());
+        let wholes = &self.wholes[&object];
+        let mut named: Vec<String> = wholes.iter().take(NAMED).map(|o| format!("\"{}\"", name(o))).collect();
+        if wholes.len() > named.len() {
+            named.push(format!("{} more", wholes.len() - named.len()));
+        }
+        let others = match self.joined.len() - 1 {
+            0 => String::new(),
+            1 => "; so is 1 other group".to_string(),
+            n => format!("; so are {n} other groups"),
+        };
+        let message = format!(
+            "group \"{}\" is in {} objects ({}), but counts as one object of that name: give each of them a g of its own{others}",
+            self.out.objects[object],
+            wholes.len(),
+            named.join(", ")
+        );
+        self.warn(line, message);
+    }
+
     fn finish(mut self) -> Result<ObjText> {
         let ahead = self.ahead.iter().find(|(kind, index, _)| *index > self.defined(*kind));
         if let Some(&(kind, index, line)) = ahead {
             return Err(self.out_of_range(kind, index as i64, line, "are in the file"));
         }
+        self.tell_joined();
         if self.elements > 0 {
             let path = self.path.display();
             self.out.warnings.push(format!("{path}: {} point and line elements were skipped", self.elements));
