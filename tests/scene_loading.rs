@@ -289,6 +289,35 @@ fn a_library_named_twice_is_read_once() {
     assert_warning(&scene, &["s.obj:2", "gone.mtl"]);
 }
 
+#[test]
+fn a_library_whose_name_has_a_space() {
+    let obj = format!("mtllib no such.mtl\nusemtl m\n{SQUARE}");
+    let scene = load_obj(&obj).unwrap();
+    assert_warning(&scene, &["material library"]);
+    assert_warning(&scene, &["s.obj:1", "\"no such.mtl\" not found"]);
+    let red = "newmtl m\nKd 0.25 0 0\n";
+    for file in ["no such.mtl", "such.mtl"] {
+        let scene = load_files(&[("s.obj", &obj), (file, red)]).unwrap();
+        assert_eq!(scene.materials[0].diffuse.to_array(), [0.25, 0.0, 0.0], "{file}");
+        let missing = usize::from(file == "such.mtl");
+        assert_eq!(scene.warnings.iter().filter(|w| w.contains("material library")).count(), missing);
+    }
+}
+
+#[test]
+fn carriage_returns_alone_end_lines() {
+    let obj = format!("# a square\nmtllib s.mtl\no a\nusemtl m\n{SQUARE}wrong 1\n");
+    let mtl = "newmtl m\n# half\nKd 0.25 0.5 0.75\n";
+    for (ends, both) in [("\n", true), ("\r\n", true), ("\r", true), ("\r", false)] {
+        let (obj, mtl) = (obj.replace('\n', ends), if both { mtl.replace('\n', ends) } else { mtl.into() });
+        let scene = load_files(&[("s.obj", &obj), ("s.mtl", &mtl)]).unwrap();
+        assert_eq!(scene.materials[0].diffuse.to_array(), [0.25, 0.5, 0.75], "{ends:?}");
+        assert_eq!((area(&scene), scene.objects.as_slice()), (1.0, &["a".to_string()][..]), "{ends:?}");
+        assert_warning(&scene, &["s.obj:10", "\"wrong\""]);
+    }
+    assert_error(load_obj("v 0 0 0\r\rv 1 0\r"), &["s.obj:3", "found 2"]);
+}
+
 /// Objects are told apart by the last `o` or `g` alone, and who names groups alike in several `o` is told.
 #[test]
 fn groups_of_one_name_in_several_objects_are_told() {

@@ -395,13 +395,22 @@ fn read_libraries(file: &ObjFile, warnings: &mut Vec<String>) -> Result<(Vec<Mat
     let mut materials = Vec::new();
     // Some exporters name the library again with each object.
     let mut read: BTreeSet<PathBuf> = BTreeSet::new();
-    for (line, names) in &file.libraries {
+    for (line, whole) in &file.libraries {
         // One name with spaces, or several names.
-        let names = if directory.join(names).is_file() {
-            vec![names.as_str()]
+        let names: Vec<&str> = if directory.join(whole).is_file() {
+            vec![whole.as_str()]
         } else {
-            names.split_whitespace().collect()
+            whole.split_whitespace().collect()
         };
+        if names.len() > 1 && names.iter().all(|name| !directory.join(name).exists()) {
+            // Whether these are several names or one is not known: they are told together.
+            let paths: Vec<PathBuf> = names.iter().map(|name| directory.join(name)).collect();
+            if paths.into_iter().filter(|path| read.insert(path.clone())).count() > 0 {
+                let message = format!("material library \"{whole}\" not found");
+                warnings.push(Error::parse(&file.path, Some(*line), message).to_string());
+            }
+            continue;
+        }
         for name in names {
             let path = directory.join(name);
             if !read.insert(path.clone()) {

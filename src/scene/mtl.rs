@@ -5,6 +5,7 @@
 
 use super::document::nearest;
 use super::material::{MOST_RADIANCE, Material};
+use super::obj_text::with_line_feeds;
 use crate::color::Rgb;
 use crate::error::{Error, Result};
 use std::path::Path;
@@ -38,7 +39,8 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<(Vec<Material>, Vec<Strin
         said: Vec::new(),
         warnings: Vec::new(),
     };
-    for (index, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
+    let text = with_line_feeds(text.trim_start_matches('\u{feff}'));
+    for (index, line) in text.lines().enumerate() {
         scan.line = index + 1;
         scan.statement(line)?;
     }

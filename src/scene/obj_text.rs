@@ -6,6 +6,7 @@
 //! behind faces and tabs behind `usemtl`, and reports no line numbers.
 
 use crate::error::{Error, Result};
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fmt::Write;
 use std::path::Path;
@@ -40,7 +41,8 @@ pub(super) struct ObjText {
 /// Reads `text`, whose coordinates must not exceed `limit`.
 pub(super) fn read(path: &Path, text: &str, limit: f64) -> Result<ObjText> {
     let mut scan = Scan { path, limit, ..Scan::new(path) };
-    let mut lines = text.trim_start_matches('\u{feff}').lines().enumerate();
+    let text = with_line_feeds(text.trim_start_matches('\u{feff}'));
+    let mut lines = text.lines().enumerate();
     while let Some((index, line)) = lines.next() {
         scan.line = index + 1;
         match line.trim_end().strip_suffix('\\') {
@@ -378,6 +380,14 @@ impl<'a> Scan<'a> {
         }
         self.out.canonical.push_str(&self.faces);
         Ok(self.out)
+    }
+}
+
+/// Text of lines that end in carriage returns alone, as those of old Macintosh files do, with line feeds in their place.
+pub(super) fn with_line_feeds(text: &str) -> Cow<'_, str> {
+    match text.contains('\r') && !text.contains('\n') {
+        true => text.replace('\r', "\n").into(),
+        false => text.into(),
     }
 }
 
