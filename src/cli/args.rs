@@ -213,7 +213,8 @@ pub struct FormFactorArgs {
     pub enforce: EnforceArg,
     /// File to write; may be given several times: .npz (scipy.sparse.load_npz; numpy.load finds area, escaped, absorbed,
     /// standard_error (of hemi-cubes with --rotate alone), objects and each element's object beside the matrix), .csv, .json,
-    /// .vf or .out (View3D's text format), or a picture of the matrix (.png, ...). "-" for JSON on standard output, the default with --by-object.
+    /// .vf or .out (View3D's text format), or a picture of the matrix (.png, ...). "-" for JSON on standard output, the default
+    /// with --by-object.
     #[arg(short, long, value_name = "FILE")]
     pub output: Vec<PathBuf>,
     /// Draw what an element sees (its number, or an object's name for the one in its middle) to -o IMAGE; no matrix.

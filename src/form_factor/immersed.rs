@@ -1,8 +1,8 @@
 //! Which elements lie inside of glass, in part or wholly.
 //!
 //! A ray that meets the back of a glass surface first began inside of it, and so did one that ends on a black surface there; one that
-//! meets the front of glass, escapes, or lands on an element of which no ray does so, outside. Where bodies inside of glass see each other, stones in a tank of water or two of the tank's walls,
-//! a ray from one that lands on the other began where that one lies.
+//! meets the front of glass, escapes, or lands on an element of which no ray does so, outside. Where bodies inside of glass see each
+//! other, stones in a tank of water or two of the tank's walls, a ray from one that lands on the other began where that one lies.
 
 use super::RowSummary;
 
