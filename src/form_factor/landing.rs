@@ -84,7 +84,7 @@ impl Targets {
             let first = [true, false].map(|front| mesh.first(k, front));
             let kind = [true, false].map(|front| {
                 let immersed = immersed.contains_key(&side_index(k, front));
-                kind(k, front) | IMMERSED * u8::from(immersed)
+                kind(k, front) | (IMMERSED * u8::from(immersed))
             });
             FaceSides::new(&scene.faces[k as usize], mesh.grid(k).clone(), first, kind)
         };
