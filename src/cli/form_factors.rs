@@ -8,14 +8,14 @@ use crate::embree::Device;
 use crate::form_factor::export::{self, View};
 use crate::form_factor::{
     AtSpecular, Casting, Enforce, Factors, Found, HemicubeErrors, HemicubeSettings, Request, cast_images,
-    cast_rows, correct, estimate_rows, hemicube, unoccluded,
+    cast_rows, correct, estimate_rows, hemicube, most_by_pairs, unoccluded,
 };
 use crate::image::{self, WriteOptions};
 use crate::mesh::{Mesh, Sides, default_element_size};
 use crate::output::{write_whole, write_whole_with};
 use crate::pipeline::{self, Event, Pass1, Stage};
 use crate::report::{FactorReport, Report, Versions, command_line};
-use crate::scene::{Face, Scene, load};
+use crate::scene::{Scene, load};
 use crate::visibility::Visibility;
 use crate::{Error, Result};
 use std::io::Write;
@@ -60,14 +60,14 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
     warnings.extend(scene.warnings.iter().cloned());
     warnings.iter().for_each(|w| progress.warn(w));
     let settings = pass1(&args.pass1, &scene, args.common.seed);
-    // Exact factors between objects do not depend on elements: whole faces are few.
-    let whole = args.by_object && args.method == FactorMethodArg::Analytic;
-    let default = || if whole { f64::MAX } else { default_element_size(&scene) };
-    let size = settings.element_size.unwrap_or_else(default);
     let mut sides = if args.two_sided { Sides::all(&scene) } else { Sides::fronts(&scene) };
     if args.mirror != MirrorArg::None {
         sides = sides.without_purely_specular(&scene);
     }
+    let size = match settings.element_size {
+        Some(size) => size,
+        None => default_size(args, &scene, &sides, settings.rays)?,
+    };
     let mesh = Mesh::new(&scene, &sides, size, true)?;
     let rows = selected(args, &scene, &mesh)?;
     let viewed = args.view.as_deref().map(|v| viewed(v, &scene, &mesh)).transpose()?;
@@ -160,6 +160,33 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
     Ok(())
 }
 
+/// Size of elements where none is given. Factors between objects do not depend on elements: these are whole faces where factors are
+/// exact whatever the elements are, and so few that every pair is looked at where that is possible.
+fn default_size(args: &FormFactorArgs, scene: &Scene, sides: &Sides, rays: u32) -> Result<f64> {
+    let default = default_element_size(scene);
+    let most = most_by_pairs(rays);
+    match args.method {
+        _ if !args.by_object => return Ok(default),
+        FactorMethodArg::Analytic => return Ok(f64::MAX),
+        FactorMethodArg::Ray if !by_chains(args, scene) && scene.faces.len() <= most => {}
+        FactorMethodArg::Ray | FactorMethodArg::Hemicube => return Ok(default),
+    }
+    let mut size = default;
+    while size < 4.0 * scene.radius {
+        if Mesh::new(scene, sides, size, true)?.len() <= most {
+            return Ok(size);
+        }
+        size *= 1.1;
+    }
+    Ok(default)
+}
+
+/// Whether factors take hemisphere rays because of specular surfaces. Where nothing is specular no chain begins.
+fn by_chains(args: &FormFactorArgs, scene: &Scene) -> bool {
+    let specular = || scene.faces.iter().any(|f| scene.material(f).is_specular());
+    args.mirror == MirrorArg::Image || args.mirror == MirrorArg::Chain && specular()
+}
+
 /// The stage that finds the matrix, by either method.
 struct Run<'a> {
     args: &'a FormFactorArgs,
@@ -188,9 +215,7 @@ impl Run<'_> {
                         (matrix.map(Found::by_rows), rays)
                     });
                 }
-                // Where nothing is specular no chain begins, and factors pair by pair are the better ones.
-                let specular = |f: &Face| self.scene.material(f).is_specular();
-                if self.args.mirror != MirrorArg::Chain || !self.scene.faces.iter().any(specular) {
+                if !by_chains(self.args, self.scene) {
                     return Ok(pipeline::stage("form-factors", count, observer, self.stages, || {
                         let request = Request {
                             rays: settings.rays,

@@ -18,6 +18,8 @@ const RAYS_A_PAIR: u32 = 8;
 const FEW_RAYS: u32 = 128;
 /// Elements up to which unoccluded factors are computed to [`analytic::EXACT`] rather than to [`QUICK`].
 const FEW_ELEMENTS: usize = 64;
+/// The same where these are summed by objects.
+const FEW_OF_OBJECTS: usize = 512;
 /// Relative error of unoccluded factors among many elements.
 const QUICK: f64 = 1e-5;
 /// Rays an element for each element of an emitter: with fewer, the pairs of emitters would take much longer than the rays. Without
@@ -50,8 +52,13 @@ pub struct Request<'a> {
 /// [`pairs::MOST_ELEMENTS`] and [`pairs::MOST_SURFACES`].
 pub fn by_pairs(mesh: &Mesh, scene: &Scene, request: &Request) -> bool {
     let elements = mesh.len();
-    let pays = elements <= (request.rays / RAYS_A_PAIR) as usize || request.error.is_some();
+    let pays = elements <= most_by_pairs(request.rays) || request.error.is_some();
     pays && elements <= pairs::MOST_ELEMENTS && has_few_surfaces(mesh, scene)
+}
+
+/// Elements up to which every pair is looked at with so many rays an element, whether an error is asked for or not.
+pub fn most_by_pairs(rays: u32) -> usize {
+    (rays / RAYS_A_PAIR) as usize
 }
 
 /// Whether what may lie between any two of the surfaces' sides is soon found.
@@ -105,7 +112,11 @@ pub fn estimate_rows(
         batches,
         error: asked,
         floor: request.floor,
-        tolerance: if few { analytic::EXACT } else { QUICK.max(0.01 * request.error.unwrap_or(0.0)) },
+        tolerance: if few || request.by_object && mesh.len() <= FEW_OF_OBJECTS {
+            analytic::EXACT
+        } else {
+            QUICK.max(0.01 * request.error.unwrap_or(0.0))
+        },
         // The insides of bodies are seen through openings, which few points find.
         cells: (!few || mesh.has_backs()).then_some(asked.unwrap_or(pairs::CELL_ERROR)),
         unoccluded: false,
