@@ -348,8 +348,9 @@ pub(crate) fn views<'a>(
         let frame = camera.frame(scene);
         let at = |k: u32, n: u32| (f64::from(k) + 0.5) * f64::from(n) / f64::from(across);
         let ray = |k: u32| {
-            let direction = frame.direction(at(k % across, camera.size[0]), at(k / across, camera.size[1]));
-            let hit = visibility.closest(frame.origin().as_vec3(), direction.as_vec3(), u32::MAX)?;
+            let (origin, direction) =
+                frame.ray(at(k % across, camera.size[0]), at(k / across, camera.size[1]));
+            let hit = visibility.closest(origin, direction.as_vec3(), u32::MAX)?;
             let material = scene.material(&scene.faces[hit.face as usize]);
             let reflects = material.is_diffuse() && (hit.front || material.two_sided);
             reflects.then_some((hit.face, hit.front, [hit.u, hit.v]))

@@ -6,6 +6,7 @@
 mod common;
 
 use common::*;
+use glam::DVec3;
 use rayon::ThreadPoolBuilder;
 use std::f64::consts::PI;
 use twopass::emitters::Emitters;
@@ -536,6 +537,45 @@ fn two_pass_equals_path() {
             let (off, error) = (a / b - 1.0, ea.hypot(eb) / b);
             eprintln!("roughness {roughness} {method:?}: {:+.3} % +- {:.3} %", 100.0 * off, 100.0 * error);
             assert!(off.abs() <= relative && error < 0.003, "{method:?}: {off} +- {error}");
+        }
+    }
+}
+
+/// A board of 8 x 8 tiles fills the picture, one tile a pixel, under a white sky: every pixel shows its tile's albedo, from 1 m to
+/// 1000 km. Single precision places an eye that far to 3 cm. The board's edges are not along any axis.
+#[test]
+fn a_far_camera_shows_what_a_near_one_does() {
+    let (right, ahead, away) = {
+        let away = DVec3::new(-0.31, 0.47, 1.0).normalize();
+        let right = DVec3::Y.cross(away).normalize();
+        (right, away.cross(right), away)
+    };
+    let albedo = |i: usize, j: usize| if (i + j) % 2 == 0 { 0.8 } else { 0.1 };
+    let mut files = Files::default();
+    files.diffuse("white", &[0.8], &[0.0]).diffuse("black", &[0.1], &[0.0]);
+    for (i, j) in (0..8).flat_map(|i| (0..8).map(move |j| (i, j))) {
+        let at =
+            |x: usize, y: usize| ((x as f64 / 8.0 - 0.5) * right + (y as f64 / 8.0 - 0.5) * ahead).to_array();
+        let name = if albedo(i, j) > 0.5 { "white" } else { "black" };
+        files.polygon("tile", name, &[at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)]);
+    }
+    files.toml("[environment]\nradiance = [1, 1, 1]");
+    let distances = [1.0, 1e3, 1e6f64];
+    for distance in distances {
+        let fov = 2.0 * (0.5 / distance).atan().to_degrees();
+        let eye = (distance * away).to_array();
+        files.toml(&camera(&format!("{distance}"), eye, [0.0; 3], ahead.to_array(), fov, 8));
+    }
+    let scene = files.load();
+    for (method, distance) in
+        [MESH, DIRECT, GATHER, Method::Path].into_iter().flat_map(|m| distances.map(|d| (m, d)))
+    {
+        let image = picture(&scene, &format!("{distance}"), (64, 0.125), &settings(method, 64));
+        for (k, value) in image.data.iter().enumerate() {
+            // Rows from the top: y of the board falls. By chance a sample a ten-thousandth of a tile from its edge misses it.
+            let exact = albedo(k / 3 % 8, 7 - k / 24);
+            let off = f64::from(*value) - exact;
+            assert!(off.abs() < 0.02, "{method:?} from {distance} m, pixel {}: {value} for {exact}", k / 3);
         }
     }
 }

@@ -163,8 +163,8 @@ pub fn sees_specular(visibility: &Visibility, camera: &Camera) -> Vec<bool> {
         .map(|k| {
             let (x, y) = (f64::from(k % width), f64::from(k / width));
             [(0.1, 0.1), (0.9, 0.1), (0.5, 0.5), (0.1, 0.9), (0.9, 0.9)].iter().all(|(u, v)| {
-                let direction = frame.direction(x + u, y + v).as_vec3();
-                let hit = visibility.closest(frame.origin().as_vec3(), direction, u32::MAX);
+                let (origin, direction) = frame.ray(x + u, y + v);
+                let hit = visibility.closest(origin, direction.as_vec3(), u32::MAX);
                 hit.is_some_and(|hit| scene.material(&scene.faces[hit.face as usize]).is_specular())
             })
         })

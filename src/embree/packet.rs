@@ -67,6 +67,20 @@ pub struct RayLanes {
 const NARROW: f32 = 0.8;
 
 impl RayLanes {
+    /// Origin of a lane (0 to 15).
+    #[inline]
+    pub fn origin(&self, lane: usize) -> Vec3 {
+        Vec3::new(self.origin[0][lane], self.origin[1][lane], self.origin[2][lane])
+    }
+
+    /// Writes a lane (0 to 15).
+    #[inline]
+    pub fn set(&mut self, lane: usize, origin: Vec3, direction: Vec3) {
+        for c in 0..3 {
+            (self.origin[c][lane], self.direction[c][lane]) = (origin[c], direction[c]);
+        }
+    }
+
     /// Direction of a lane (0 to 15).
     #[inline]
     pub fn direction(&self, lane: usize) -> Vec3 {

@@ -25,9 +25,7 @@ impl Context<'_, '_> {
         let shifts: Vec<[u32; 3]> = seeds.iter().map(|s| Sampler { seed: *s, index: 0 }.shift(0)).collect();
         let shared = seed_of(&[settings.seed, x0 / BLOCK, y0 / BLOCK, 0xb10c5]);
         let quality = self.quality(true);
-        let origin = frame.origin().as_vec3();
-        let mut rays =
-            RayLanes { origin: origin.to_array().map(|x| [x; LANES]), direction: [[0.0; LANES]; 3] };
+        let mut rays = RayLanes { origin: [[0.0; LANES]; 3], direction: [[0.0; LANES]; 3] };
         let mut directions = [DVec3::ZERO; LANES];
         let active = u16::MAX >> (LANES - pixels.len());
         let mut packet = RayPacket::new();
@@ -38,16 +36,16 @@ impl Context<'_, '_> {
             let bits = shared.bits(0);
             for (lane, ((x, y), shift)) in pixels.iter().zip(&shifts).enumerate() {
                 let u = [0, 1].map(|d| f64::from(unit(bits[d] ^ shift[d])));
-                let direction = frame.direction(f64::from(*x) + u[0], f64::from(*y) + u[1]);
+                let (origin, direction) = frame.ray(f64::from(*x) + u[0], f64::from(*y) + u[1]);
                 directions[lane] = direction;
-                (0..3).for_each(|c| rays.direction[c][lane] = direction[c] as f32);
+                rays.set(lane, origin, direction.as_vec3());
             }
             self.cast(pixels.len() as u32);
             packet.fill(&rays, active);
             self.visibility.closest16(&mut packet, true);
             spots.clear();
             for lane in 0..pixels.len() {
-                let direction = directions[lane];
+                let (origin, direction) = (rays.origin(lane), directions[lane]);
                 let Some(hit) = self.visibility.lane(&packet, lane, origin, direction.as_vec3(), u32::MAX)
                 else {
                     sum[lane] += self.scene.environment;

@@ -47,8 +47,8 @@ impl Context<'_, '_> {
             let at = |d: usize, k: u32| {
                 f64::from(corner[d]) + f64::from(edge[d]) * (f64::from(k) + 0.5) / f64::from(LOOKS)
             };
-            let direction = frame.direction(at(0, k % LOOKS), at(1, k / LOOKS)).as_vec3();
-            let hit = self.visibility.closest(frame.origin().as_vec3(), direction, u32::MAX)?;
+            let (origin, direction) = frame.ray(at(0, k % LOOKS), at(1, k / LOOKS));
+            let hit = self.visibility.closest(origin, direction.as_vec3(), u32::MAX)?;
             let material = self.scene.material(&self.scene.faces[hit.face as usize]);
             let lit = material.is_diffuse() && (hit.front || material.two_sided);
             lit.then(|| {

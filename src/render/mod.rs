@@ -252,18 +252,17 @@ fn finer(settings: &Settings) -> Settings {
 /// that samples chosen by it are without bias.
 fn sees_perfect_lobe(visibility: &Visibility, frame: &CameraFrame, x: u32, y: u32) -> bool {
     let scene = visibility.scene();
-    let origin = frame.origin().as_vec3();
-    let mut rays = RayLanes { origin: origin.to_array().map(|x| [x; LANES]), direction: [[0.0; LANES]; 3] };
+    let mut rays = RayLanes { origin: [[0.0; LANES]; 3], direction: [[0.0; LANES]; 3] };
     for k in 0..PROBES * PROBES {
         let at = |k: u32| (f64::from(k) + 0.5) / f64::from(PROBES);
-        let direction = frame.direction(f64::from(x) + at(k % PROBES), f64::from(y) + at(k / PROBES));
-        (0..3).for_each(|c| rays.direction[c][k as usize] = direction[c] as f32);
+        let (origin, direction) = frame.ray(f64::from(x) + at(k % PROBES), f64::from(y) + at(k / PROBES));
+        rays.set(k as usize, origin, direction.as_vec3());
     }
     let mut packet = RayPacket::new();
     packet.fill(&rays, (1 << (PROBES * PROBES)) - 1);
     visibility.closest16(&mut packet, true);
     (0..(PROBES * PROBES) as usize).any(|k| {
-        let hit = visibility.lane(&packet, k, origin, rays.direction(k), u32::MAX);
+        let hit = visibility.lane(&packet, k, rays.origin(k), rays.direction(k), u32::MAX);
         hit.is_some_and(|h| scene.material(&scene.faces[h.face as usize]).has_perfect_lobe())
     })
 }
@@ -404,8 +403,8 @@ pub fn sees_no_emitter(visibility: &Visibility, emitters: &Emitters, camera: &Ca
     let sees = |x: u32, y: u32| {
         (0..RAYS * RAYS).any(|k| {
             let at = |j: u32| (f64::from(j) + 0.5) / f64::from(RAYS);
-            let direction = frame.direction(f64::from(x) + at(k % RAYS), f64::from(y) + at(k / RAYS));
-            let hit = visibility.closest(frame.origin().as_vec3(), direction.as_vec3(), u32::MAX);
+            let (origin, direction) = frame.ray(f64::from(x) + at(k % RAYS), f64::from(y) + at(k / RAYS));
+            let hit = visibility.closest(origin, direction.as_vec3(), u32::MAX);
             hit.is_some_and(|hit| emitters.at(hit.face, hit.front).is_some())
         })
     };
@@ -456,8 +455,8 @@ fn pixel(
     let samples = (0..spp).map(|index| {
         let sampler = Sampler { seed, index };
         let u = sampler.numbers(0);
-        let direction = frame.direction(f64::from(x) + u[0], f64::from(y) + u[1]);
-        sample(frame.origin().as_vec3(), direction, sampler)
+        let (origin, direction) = frame.ray(f64::from(x) + u[0], f64::from(y) + u[1]);
+        sample(origin, direction, sampler)
     });
     samples.sum::<Rgb>() / f64::from(spp.max(1))
 }

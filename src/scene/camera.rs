@@ -4,13 +4,20 @@ use super::Scene;
 use super::document::{Section, nearest};
 use super::path::CameraPath;
 use crate::error::{Error, Result};
-use glam::DVec3;
+use glam::{DVec2, DVec3, Vec3};
 
 /// Largest width or height of an image in pixels.
 const MAX_SIZE: u32 = 65_536;
 
 /// Most pixels of an image: three gigabytes of samples.
 const MAX_PIXELS: u64 = 1 << 28;
+
+/// Where the eye is farther from the scene's centre than so many of its radii, its rays start at the scene: single precision would
+/// place them worse at the eye.
+const FAR: f64 = 4.0;
+
+/// Radius about the scene's centre at which they start then, over that of the scene: outside of all faces as they are rounded.
+const AROUND: f64 = 1.001;
 
 const KEYS: [&str; 7] = ["name", "origin", "target", "up", "fov", "size", "keyframe"];
 
@@ -41,6 +48,8 @@ pub struct CameraFrame {
     /// A pixel's step down, on the same plane.
     down: DVec3,
     half: [f64; 2],
+    /// Radius of the sphere about the scene's centre at which rays start \[m\]; none: at the eye.
+    start: Option<f64>,
 }
 
 /// Whether an image of that many pixels across and down can be made.
@@ -107,12 +116,14 @@ impl Camera {
         let right = forward.cross(self.up.normalize_or(DVec3::Y)).normalize_or(DVec3::X);
         let [width, height] = self.size.map(f64::from);
         let pixel = 2.0 * (0.5 * self.fov.to_radians()).tan() / height;
+        let origin = self.origin * scene.unit - scene.center;
         CameraFrame {
-            origin: self.origin * scene.unit - scene.center,
+            origin,
             forward,
             right: right * pixel,
             down: forward.cross(right) * pixel,
             half: [0.5 * width, 0.5 * height],
+            start: (origin.length() > FAR * scene.radius).then_some(AROUND * scene.radius),
         }
     }
 }
@@ -128,6 +139,38 @@ impl CameraFrame {
     pub fn direction(&self, x: f64, y: f64) -> DVec3 {
         let on_plane = self.forward + (x - self.half[0]) * self.right + (y - self.half[1]) * self.down;
         on_plane.normalize()
+    }
+
+    /// Continuous pixel coordinates at which a point [m, relative to the scene's centre] is seen; none behind the eye.
+    pub fn pixel(&self, point: DVec3) -> Option<DVec2> {
+        let from_eye = point - self.origin;
+        let depth = from_eye.dot(self.forward);
+        let across = |step: DVec3| from_eye.dot(step) / (depth * step.length_squared());
+        let half = DVec2::from(self.half);
+        (depth > 0.0).then(|| half + DVec2::new(across(self.right), across(self.down)))
+    }
+
+    /// The ray through continuous pixel coordinates: where it starts in single precision [m, relative to the scene's centre], and its
+    /// unit direction. An eye far outside of the scene is not where its rays start: lengths along them are not those from the eye.
+    #[inline]
+    pub fn ray(&self, x: f64, y: f64) -> (Vec3, DVec3) {
+        let direction = self.direction(x, y);
+        (self.start(direction), direction)
+    }
+
+    /// Where a ray from the eye in a unit direction starts.
+    #[inline]
+    pub fn start(&self, direction: DVec3) -> Vec3 {
+        let ahead = -self.origin.dot(direction);
+        match self.start {
+            Some(radius) if ahead > 0.0 => {
+                // From the point nearest to the centre: the way from the eye is the longer, and the less exact.
+                let nearest = self.origin + ahead * direction;
+                let back = (radius * radius - nearest.length_squared()).max(0.0).sqrt();
+                (nearest - back * direction).as_vec3()
+            }
+            _ => self.origin.as_vec3(),
+        }
     }
 }
 
@@ -194,5 +237,41 @@ mod tests {
         scene.unit = 0.5;
         scene.center *= 0.5;
         assert_eq!(camera(60.0, [8, 8]).frame(&scene).origin(), dvec3(0.0, 0.0, 2.5));
+    }
+
+    /// Rays of a near eye start there, to the bit. Those of a far one meet the points that they are sent to as nearly as single
+    /// precision tells points of the scene apart; from the eye itself they would miss them by up to 30 m.
+    #[test]
+    fn rays_of_far_eyes_start_at_the_scene() {
+        let scene = scene();
+        let frame = camera(60.0, [8, 8]).frame(&scene);
+        assert_eq!(frame.ray(1.25, 2.5), (frame.origin().as_vec3(), frame.direction(1.25, 2.5)));
+        for distance in [10.0, 1e3, 1e6, 1e9] {
+            let away = dvec3(0.3, -0.5, 1.0).normalize() * distance;
+            let far = Camera {
+                origin: dvec3(11.0, 1.0, 0.0) + away,
+                fov: 114.0 / distance,
+                ..camera(60.0, [8, 8])
+            };
+            let frame = far.frame(&scene);
+            for point in [dvec3(0.9, -0.7, 0.0), dvec3(-0.3, 0.2, 0.0), DVec3::ZERO] {
+                let at = frame.pixel(point).expect("ahead");
+                let (start, direction) = frame.ray(at.x, at.y);
+                assert!(start.length() < 2.0, "{distance}: {start}");
+                let (start, direction) = (start.as_dvec3(), direction.as_vec3().as_dvec3());
+                let hit = start - start.z / direction.z * direction;
+                let off = hit.distance(point);
+                assert!(off < 1e-6 + 1e-15 * distance, "{distance}: {off:e}");
+            }
+        }
+        // Away from the scene: nothing is ahead, and rays start at the eye.
+        let behind = Camera {
+            target: dvec3(11.0, 1.0, 200.0),
+            origin: dvec3(11.0, 1.0, 100.0),
+            ..camera(60.0, [8, 8])
+        };
+        let frame = behind.frame(&scene);
+        assert_eq!(frame.ray(4.0, 4.0).0, frame.origin().as_vec3());
+        assert_eq!(frame.pixel(DVec3::ZERO), None);
     }
 }

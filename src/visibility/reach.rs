@@ -344,8 +344,8 @@ impl Walker<'_, '_> {
 
     fn walk_from_camera(&self, frame: &CameraFrame, size: [u32; 2], index: u32) -> Vec<(u32, DVec3)> {
         let p = sobol(index, 0, 0xca3);
-        let d = frame.direction(p[0] * f64::from(size[0]), p[1] * f64::from(size[1]));
-        self.walk(frame.origin().as_vec3(), d, u32::MAX)
+        let (origin, d) = frame.ray(p[0] * f64::from(size[0]), p[1] * f64::from(size[1]));
+        self.walk(origin, d, u32::MAX)
     }
 
     fn walk(&self, mut origin: Vec3, mut direction: DVec3, mut from: u32) -> Vec<(u32, DVec3)> {
