@@ -176,6 +176,70 @@ fn an_error_out_of_reach_is_named() {
     assert!(report["warnings"].to_string().contains("is not met"));
 }
 
+/// Lamps far smaller than a pixel, between its rays, and a wire a tenth as wide as these are apart: pixels that see one are left out with
+/// their neighbours, those with lamps that face away or are hidden are not. At 1 m a pixel is 0.1 m wide.
+#[test]
+fn lamps_smaller_than_a_pixel_are_seen() {
+    let mut files = Files::default();
+    files.diffuse("wall", &[0.5], &[0.0]).diffuse("lamp", &[0.0], &[40.0]);
+    files.polygon(
+        "wall",
+        "wall",
+        &[[-4.0, -4.0, -2.0], [4.0, -4.0, -2.0], [4.0, 4.0, -2.0], [-4.0, 4.0, -2.0]],
+    );
+    let at = |x: f64, y: f64, z: f64| [z * (0.1 * x - 1.0), z * (1.0 - 0.1 * y), -z];
+    let rectangle = |[x0, x1]: [f64; 2], [y0, y1]: [f64; 2], z: f64| {
+        [at(x0, y1, z), at(x1, y1, z), at(x1, y0, z), at(x0, y0, z)]
+    };
+    let square = |x: f64, y: f64| rectangle([x - 0.01, x + 0.01], [y - 0.01, y + 0.01], 1.0);
+    let mut away = square(10.5, 4.5);
+    away.reverse();
+    files
+        .polygon("seen", "lamp", &square(3.5, 4.5))
+        .polygon("away", "lamp", &away)
+        .polygon("hidden", "lamp", &square(16.5, 4.5))
+        .polygon("screen", "wall", &rectangle([16.0, 17.0], [4.0, 5.0], 0.9))
+        .polygon("beside", "lamp", &square(20.5, 15.5))
+        .polygon("triangle", "lamp", &[at(13.51, 13.51, 1.0), at(13.5, 13.49, 1.0), at(13.49, 13.51, 1.0)])
+        .polygon("wire", "lamp", &rectangle([5.5, 5.525], [10.3, 17.6], 1.0))
+        .toml("[camera]\norigin = [0, 0, 0]\ntarget = [0, 0, -1]\nfov = 90\nsize = [20, 20]");
+    let scene = files.load();
+    let device = device();
+    let visibility = Visibility::new(&device, &scene).unwrap();
+    let mask = sees_no_emitter(&visibility, &Emitters::new(&visibility), scene.camera(None).unwrap());
+    let mut lamps = vec![(3, 4), (13, 13)];
+    lamps.extend((10..18).map(|y| (5, y)));
+    for (x, y) in (0..20).flat_map(|x: i32| (0..20).map(move |y: i32| (x, y))) {
+        let near = lamps.iter().any(|(i, j)| (x - i).abs() <= 1 && (y - j).abs() <= 1);
+        assert_eq!(mask[(y * 20 + x) as usize], !near, "pixel {x}, {y}");
+    }
+}
+
+/// Lamps of a twentieth of a pixel hang in view: their pixels do not count, and the error of all others is soon met.
+#[test]
+fn small_lamps_in_view_do_not_count() {
+    let mut files = Files::default();
+    files.diffuse("wall", &[0.5], &[0.0]);
+    files.material("lamp", "emission = [4e4, 4e4, 4e4]\nemit_both_sides = true");
+    for (name, points) in common::box_faces([0.0; 3], [1.0; 3], true) {
+        files.polygon(name, "wall", &points);
+    }
+    for k in 0..12 {
+        let [x, y] = [2 * k, 2 * k + 1].map(|k| 0.2 + 0.6 * common::noise(k));
+        let s = 0.0006;
+        let lamp = [[x - s, y - s, 0.6], [x - s, y + s, 0.6], [x + s, y + s, 0.6], [x + s, y - s, 0.6]];
+        files.polygon("lamp", "lamp", &lamp);
+    }
+    files.toml("[camera]\norigin = [0.5, 0.5, 0.05]\ntarget = [0.5, 0.5, 1]\nfov = 60\nsize = [24, 24]");
+    let scene = files.load();
+    let device = device();
+    let visibility = Visibility::new(&device, &scene).unwrap();
+    let emitters = Emitters::new(&visibility);
+    let camera = scene.camera(None).unwrap();
+    let found = rendered(&view(&visibility, &emitters, camera), 0.1, 1).achieved;
+    assert!(found.met && found.spp <= 128, "{found:?}");
+}
+
 #[test]
 fn what_an_error_cannot_be_asked_with() {
     let folder = tempfile::tempdir().unwrap();

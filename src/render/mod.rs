@@ -6,6 +6,7 @@ mod diffuse;
 mod guide;
 mod landing;
 mod lobe;
+mod mask;
 mod path;
 mod view;
 
@@ -22,6 +23,7 @@ use budget::Budget;
 use glam::{DVec2, DVec3, Vec3};
 use guide::Guides;
 use landing::Landings;
+pub use mask::sees_no_emitter;
 use pulp::Arch;
 use rayon::prelude::*;
 use std::cell::Cell;
@@ -392,30 +394,6 @@ impl<'a, 's> Renderer<'a, 's> {
         let radiance = |at: &(u32, u32)| found.iter().find(|f| f.0 == *at).map_or(Rgb::ZERO, |f| f.1);
         (pixels.iter().map(radiance).collect(), coarse.traced() + finer.traced())
     }
-}
-
-/// Which pixels of an image see no emitter directly nor have a neighbour that does, row by row: errors are measured over them
-/// (DESIGN section 2), as the edges of lamps would hide all else.
-pub fn sees_no_emitter(visibility: &Visibility, emitters: &Emitters, camera: &Camera) -> Vec<bool> {
-    const RAYS: u32 = 4;
-    let frame = camera.frame(visibility.scene());
-    let [width, height] = camera.size;
-    let sees = |x: u32, y: u32| {
-        (0..RAYS * RAYS).any(|k| {
-            let at = |j: u32| (f64::from(j) + 0.5) / f64::from(RAYS);
-            let (origin, direction) = frame.ray(f64::from(x) + at(k % RAYS), f64::from(y) + at(k / RAYS));
-            let hit = visibility.closest(origin, direction.as_vec3(), u32::MAX);
-            hit.is_some_and(|hit| emitters.at(hit.face, hit.front).is_some())
-        })
-    };
-    let seen: Vec<bool> = (0..width * height).into_par_iter().map(|k| sees(k % width, k / width)).collect();
-    let near = |k: u32, n: u32| k.saturating_sub(1)..(k + 2).min(n);
-    (0..width * height)
-        .map(|k| {
-            let (x, y) = (k % width, k / width);
-            !near(y, height).any(|j| near(x, width).any(|i| seen[(j * width + i) as usize]))
-        })
-        .collect()
 }
 
 /// Renders directional radiosity ([`Directional`]): every surface shows what was solved for, emitters their emission.
