@@ -176,6 +176,22 @@ fn an_error_out_of_reach_is_named() {
     assert!(report["warnings"].to_string().contains("is not met"));
 }
 
+/// What no work that is tried could reach is refused before that work, with the least that could be reached; which is above all
+/// that is met.
+#[test]
+fn a_hopeless_error_is_refused_early() {
+    let folder = tempfile::tempdir().unwrap();
+    for hopeless in ["1e-6", "1e-9"] {
+        let (code, said, report) = command(folder.path(), &["--error", hopeless, "--size", "4x4"]);
+        assert_eq!(code, 2, "{said}");
+        assert!(said.contains("is out of reach") && said.contains("ask for a larger error"), "{said}");
+        let least = said.split("leave an error of ").nth(1).and_then(|s| s.split(' ').next()).unwrap();
+        let least: f64 = least.parse().unwrap();
+        assert!((1e-5..1e-2).contains(&least), "{said}");
+        assert!(report.is_none() && !folder.path().join("a.exr").exists());
+    }
+}
+
 /// Lamps far smaller than a pixel, between its rays, and a wire a tenth as wide as these are apart: pixels that see one are left out with
 /// their neighbours, those with lamps that face away or are hidden are not. At 1 m a pixel is 0.1 m wide.
 #[test]

@@ -51,6 +51,8 @@ const SAMPLE: f64 = 1.8;
 const SINGLE: f64 = 3.0;
 /// Largest share of a plan's cost at which another, with what it takes to know it, is worth looking for.
 const HOPE: f64 = 0.5;
+/// The least error that can be hoped for, over that asked for, from which nothing is tried.
+const HOPELESS: f64 = 2.0;
 /// Levels that the pilot looks ahead, for finer elements that might do.
 const AHEAD: u32 = 3;
 /// Least and most of what is left of a squared error on the next level, as far as can be told from two.
@@ -149,7 +151,8 @@ struct Plan {
 /// Renders a picture whose relative RMSE is at most `error`, within (0, 1), as far as can be told.
 ///
 /// # Errors
-/// As pass 1 ([`solve_reached`]); and where no pixel has light from anything but lamps in view.
+/// As pass 1 ([`solve_reached`]); where no pixel has light from anything but lamps in view; and where the most work that is tried leaves
+/// an error of more than twice that asked for.
 pub fn render_to_error(
     view: &View,
     error: f64,
@@ -186,6 +189,13 @@ fn prepare<'a, 's>(
         }
         if finer && pilot.levels.len() < 2 {
             continue;
+        }
+        let least = pilot.least();
+        if least > HOPELESS * error {
+            return Err(Error::Usage(format!(
+                "--error {error} is out of reach: {MOST_SAMPLES} samples a pixel and {MOST_RAYS} rays an element, the most that is \
+                 tried, leave an error of {least:.1e} at least: ask for a larger error"
+            )));
         }
         let early = finer && pilot.levels.len() < 3;
         // Where nobody knows, more rays may tell what finer elements do not, and sooner.
@@ -252,11 +262,17 @@ fn cheapest(pilot: &Pilot, camera: &Camera, aim: f64, unsure: f64) -> Option<Pla
     plans.min_by(|a, b| a.cost.total_cmp(&b.cost))
 }
 
+/// Variance that is small beside a systematic error which leaves too little of a squared aim: noise far below an error that stays would
+/// be in vain.
+fn beside(bias: Square, aim: f64) -> f64 {
+    (1.0 - SYSTEMATIC) * aim.max(AIM * AIM * bias.safe())
+}
+
 /// Where nothing meets the aim: the plan with the smallest systematic error.
 fn least_wrong(pilot: &Pilot, camera: &Camera, aim: f64) -> Plan {
     let best = pilot.biases().min_by(|a, b| a.2.safe().total_cmp(&b.2.safe()));
     let (quality, level, bias) = best.unwrap_or_default();
-    Plan { bias, ..fill(pilot, camera, (quality, level, 0), (1.0 - SYSTEMATIC) * aim) }
+    Plan { bias, ..fill(pilot, camera, (quality, level, 0), beside(bias, aim)) }
 }
 
 /// Rays and samples whose noise takes the given variance at the least cost, on a level or so many levels `finer`.
@@ -385,7 +401,8 @@ fn finish(
         let total = (noise + bias).sqrt();
         let met = noise + plan.bias.safe() <= (MET * error).powi(2);
         // Where the systematic part alone is too large, noise need only be small beside it.
-        let variance = ((AIM * error).powi(2) - plan.bias.safe()).max(0.3 * (AIM * error).powi(2));
+        let aim = (AIM * error).powi(2);
+        let variance = (aim - plan.bias.safe()).max(beside(plan.bias, aim));
         if met || noise <= variance || all_spp >= MOST_SAMPLES {
             let achieved = Achieved {
                 asked: error,

@@ -7,7 +7,7 @@
 //! to as elements become finer: its values on the two finest levels, extrapolated. Every difference is taken
 //! between pictures with the same view rays, which cancels most of the noise beforehand.
 
-use super::{ELEMENT, MOST_RAYS, MOST_SAMPLES, RAY, SAMPLE, SINGLE, View};
+use super::{ELEMENT, FALL, MOST_ELEMENTS, MOST_RAYS, MOST_SAMPLES, RAY, SAMPLE, SINGLE, View};
 use crate::color::Rgb;
 use crate::image::Image;
 use crate::mesh::{Mesh, default_element_size};
@@ -318,6 +318,19 @@ impl<'a, 's> Pilot<'a, 's> {
         self.levels[0].sampled[quality].rays
     }
 
+    /// The least relative RMSE that can be hoped for: by the noise of as many rays and samples as there may be, on elements as fine as
+    /// there may be, if errors go on to fall as fast as is believed of any.
+    pub fn least(&self) -> f64 {
+        let Some(level) = self.levels.len().checked_sub(1) else { return 0.0 };
+        let finer = (MOST_ELEMENTS / self.levels[level].elements.max(1)).max(1).ilog(4);
+        let of = |quality| {
+            let noise =
+                self.noise(quality, MOST_SAMPLES / 2) + self.noise_of_pass1(quality, level) / MOST_RAYS;
+            0.5 * noise + self.bias(quality, level).value.max(0.0) * FALL.0.powi(finer as i32)
+        };
+        (0..Quality::ALL.len()).map(of).fold(f64::INFINITY, f64::min).sqrt()
+    }
+
     /// Squared systematic errors of every quality on every level.
     pub fn biases(&self) -> impl Iterator<Item = (usize, usize, Square)> {
         let all = (0..Quality::ALL.len()).flat_map(|q| (0..self.levels.len()).map(move |l| (q, l)));
@@ -379,17 +392,20 @@ fn mean(a: &[Rgb]) -> f64 {
     a.iter().map(|v| crate::color::mean(*v)).sum::<f64>() / a.len().max(1) as f64
 }
 
-/// Mean over the pixels of the products of two differences, over the three channels.
+/// Mean over the pixels of the products of two differences, over the three channels. One pixel has no spread: the error is at least what
+/// one of them with the larger of its two differences squared would make of the mean.
 fn product(a: &[Rgb], b: &[Rgb]) -> Square {
     let n = a.len().max(1) as f64;
-    let (mut sum, mut squares) = (0.0, 0.0);
+    let (mut sum, mut squares, mut larger) = (0.0, 0.0, 0.0);
     for (a, b) in a.iter().zip(b) {
         let p = a.dot(*b) / 3.0;
         sum += p;
         squares += p * p;
+        larger += a.length_squared().max(b.length_squared()) / 3.0;
     }
     let value = sum / n;
-    Square { value, error: ((squares / n - value * value).max(0.0) / n).sqrt() }
+    let spread = ((squares / n - value * value).max(0.0) / n).sqrt();
+    Square { value, error: spread.max(larger / (n * n)) }
 }
 
 /// One pixel of each block of the image, of those that count.
@@ -432,6 +448,20 @@ pub(super) fn difference(a: &Image, b: &Image, mask: &[bool]) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// As many pixels as one tell no spread: what they differ by is no better known than it is large, and with a thousand of them
+    /// their spread alone counts.
+    #[test]
+    fn one_pixel_is_not_known_exactly() {
+        let (a, b) = (Rgb::splat(0.02), Rgb::splat(-0.001));
+        let one = product(&[a], &[b]);
+        assert!((one.value + 2e-5).abs() < 1e-15 && (one.error - 4e-4).abs() < 1e-15, "{one:?}");
+        assert!(!one.is_known(1e-4, 0.25));
+        let many: Vec<Rgb> = (0..1000).map(|k| if k % 2 == 0 { a } else { -a }).collect();
+        let found = product(&many, &vec![a; 1000]);
+        let spread = 4e-4 / 1000f64.sqrt();
+        assert!(found.value.abs() < 1e-15 && (found.error / spread - 1.0).abs() < 1e-9, "{found:?}");
+    }
 
     /// One pixel leads both lists: their means are hardly known, their ratio is. What varies by itself counts.
     #[test]
