@@ -6,6 +6,7 @@ use common::*;
 use twopass::emitters::Emitters;
 use twopass::memory::Factors;
 use twopass::pipeline::{self, Pass1, Pass1Result};
+use twopass::radiosity::Solution;
 use twopass::scene::Scene;
 use twopass::visibility::Visibility;
 
@@ -57,7 +58,7 @@ fn paved_room(material: &str, tiles: u32) -> Scene {
     files.load()
 }
 
-/// Rays that are cast again give what the matrix gives, to the bit: with counts, and with grey and coloured chains.
+/// Rays that are cast again give what the matrix gives: with counts, and with grey and coloured chains.
 #[test]
 fn rays_cast_again_give_the_same_solution() {
     for material in [
@@ -73,11 +74,33 @@ fn rays_cast_again_give_the_same_solution() {
         // Enough for the elements, not for the matrix.
         let cast = within(needed(&scene, (256, 0.1)) + 200 * elements, &scene).expect("solution");
         assert!(cast.factors == Factors::CastAgain && cast.matrix_bytes == 0, "{material}");
-        assert_eq!(kept.solution.radiosity, cast.solution.radiosity, "{material}");
-        assert_eq!(kept.solution.standard_error, cast.solution.standard_error, "{material}");
         assert_eq!(kept.residuals.reciprocity, cast.residuals.reciprocity, "{material}");
-        assert_eq!(kept.solution.ledger.residual, cast.solution.ledger.residual, "{material}");
-        assert_eq!(kept.solution.ledger.residual_error, cast.solution.ledger.residual_error, "{material}");
+        let (kept, cast) = (&kept.solution, &cast.solution);
+        alike(kept, cast, material);
+        let (a, b) = (kept.ledger, cast.ledger);
+        assert!((a.residual - b.residual).abs().max_element() < 1e-8, "{material}: {a:?} {b:?}");
+        assert!(
+            (a.residual_error / b.residual_error - 1.0).abs().max_element() < 0.05,
+            "{material}: {a:?} {b:?}"
+        );
+    }
+}
+
+/// Kept matrices have a coarse grid and rays that are cast again none: solutions are the same as far as they are solved, and so are
+/// standard errors.
+fn alike(a: &Solution, b: &Solution, name: &str) {
+    let largest = a.radiosity.iter().map(|b| b.max_element()).fold(0.0, f64::max);
+    let apart = a.radiosity.iter().zip(&b.radiosity).map(|(a, b)| (*a - *b).abs().max_element());
+    let apart = apart.fold(0.0, f64::max) / largest;
+    let (steps, of_b) = (a.convergence.iterations, b.convergence.iterations);
+    println!("{name}: {} elements, {apart:.1e} apart, {steps} and {of_b} steps", a.radiosity.len());
+    assert!(apart < 1e-8, "{name}: {apart}");
+    let squares = |s: &Solution| s.standard_error.iter().map(|e| e.x * e.x).sum::<f64>();
+    let ratio = (squares(a) / squares(b)).sqrt();
+    assert!((ratio - 1.0).abs() < 0.02, "{name}: standard errors {ratio}");
+    for (a, b) in a.objects.iter().zip(&b.objects).filter(|(a, _)| a.standard_error.x > 0.0) {
+        let ratio = a.standard_error.x / b.standard_error.x;
+        assert!((0.9..1.1).contains(&ratio), "{name}: {} {ratio}", a.name);
     }
 }
 
@@ -99,9 +122,7 @@ fn rays_and_caustics_need_memory() {
     assert!(glossy > 2.0 * few, "{few} {glossy}");
 }
 
-/// Many elements have a coarse grid, and more of them tiles, where the matrix is kept; without memory for tiles these are given up
-/// first, and where rays are cast again there is neither. The solutions are the same as far as they are solved, and so are their
-/// standard errors.
+/// Very many elements have tiles where the matrix is kept; without memory for them these are given up first.
 #[test]
 fn coarse_grids_and_tiles_change_no_solution() {
     for (name, material, tiles, size, least) in [
@@ -119,22 +140,6 @@ fn coarse_grids_and_tiles_change_no_solution() {
         let limit = needed(&scene, (8, size)) + bytes * elements;
         let less = solve(limit, &scene, (8, size)).expect("solution");
         assert!(less.factors == left, "{name}");
-        let (a, b) = (&kept.solution, &less.solution);
-        let largest = a.radiosity.iter().map(|b| b.max_element()).fold(0.0, f64::max);
-        let apart = a.radiosity.iter().zip(&b.radiosity).map(|(a, b)| (*a - *b).abs().max_element());
-        let apart = apart.fold(0.0, f64::max) / largest;
-        println!(
-            "{name}: {elements} elements, {apart:.1e} apart, {} and {} steps",
-            a.convergence.iterations, b.convergence.iterations
-        );
-        assert!(apart < 1e-8, "{name}: {apart}");
-        let squares =
-            |s: &twopass::radiosity::Solution| s.standard_error.iter().map(|e| e.x * e.x).sum::<f64>();
-        let ratio = (squares(a) / squares(b)).sqrt();
-        assert!((ratio - 1.0).abs() < 0.02, "{name}: standard errors {ratio}");
-        for (a, b) in a.objects.iter().zip(&b.objects).filter(|(a, _)| a.standard_error.x > 0.0) {
-            let ratio = a.standard_error.x / b.standard_error.x;
-            assert!((0.9..1.1).contains(&ratio), "{name}: {} {ratio}", a.name);
-        }
+        alike(&kept.solution, &less.solution, name);
     }
 }

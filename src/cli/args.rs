@@ -197,7 +197,8 @@ pub struct FormFactorArgs {
     /// Smallest factor that --error is for [default: 0.001].
     #[arg(long, value_name = "F", value_parser = share, allow_negative_numbers = true)]
     pub floor: Option<f64>,
-    /// One row and column for each object (`o`/`g` name) instead of each element.
+    /// One row and column for each object (`o`/`g` name) instead of each element. Without --element-size, elements are so few that
+    /// every pair is looked at, where that is possible.
     #[arg(long)]
     pub by_object: bool,
     /// Both sides of every face take part; backs come as objects `NAME:back` after all fronts.

@@ -4,7 +4,7 @@
 //! Bi-CGSTAB (van der Vorst 1992) solves: it needs no transpose and no exact reciprocity, which such rows lack. Where little is
 //! lost, the exchange is reciprocal ([`super::exchange::Balance`]) and conjugate gradients solve, with a coarse space for the slow
 //! modes ([`super::symmetric`]): Bi-CGSTAB's first guess settles the mean light of one closed room by the balance of power, but of
-//! rooms joined by small openings each has its own. Many elements have a coarse grid in its place ([`super::coarse`]).
+//! rooms joined by small openings each has its own. Rows that are kept have a coarse grid in its place ([`super::coarse`]).
 //!
 //! **Error bound.** `A = 1 - F rho` has an inverse without negative entries. For any `w > 0` with `d = A w > 0`, the error
 //! of an irradiance with residual r is at most `max |r_i / d_i|` times `w` (take `A^-1 d = w`). With `w = 1`, `d_i` is

@@ -51,7 +51,9 @@ impl<'m> System<'m> {
 
     /// What makes steps few.
     pub(super) fn acceleration(&self, scene: &Scene, mesh: &Mesh) -> Acceleration<'_, 'm> {
-        match (Symmetric::new(&self.exchange, &self.transport, &self.side), self.exchange.rows.kept()) {
+        // A scene may be all mirrors.
+        let kept = self.exchange.rows.kept().filter(|_| !self.side.is_empty());
+        match (Symmetric::new(&self.exchange, &self.transport, &self.side), kept) {
             (Some(symmetric), _) => Acceleration::Symmetric(symmetric),
             (None, Some(matrix)) => Acceleration::Coarse(Coarse::new(scene, mesh, matrix, &self.transport)),
             (None, None) => Acceleration::Balance(Groups::new(&self.side)),
