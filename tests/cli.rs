@@ -266,6 +266,20 @@ fn images_do_not_depend_on_the_run_or_on_threads() {
 }
 
 #[test]
+fn ray_tracing_with_emitters_alone_says_that_the_environment_is_left_out() {
+    let files = Files::new(&format!("{CAMERA}[environment]\nradiance = 1.0\n{MATERIALS}"), ROOM);
+    for (method, told) in [("whitted", true), ("path", false)] {
+        let args = ["render", "scene.toml", "-o", "a.exr", "--size", "2x2", "--spp", "1", "--method", method];
+        let stderr = files.done(&args).stderr;
+        assert_eq!(
+            stderr.matches("leaves out the environment's light").count(),
+            usize::from(told),
+            "{stderr}"
+        );
+    }
+}
+
+#[test]
 fn info_says_what_is_modelled_and_what_is_not() {
     let room = Files::room();
     let run = room.done(&["info", "scene.toml"]);
@@ -303,6 +317,7 @@ fn info_and_solve_have_the_same_elements() {
     let run = files.done(&["info", "scene.toml", "--element-size", "0.5", "--seed", "3"]);
     let text = String::from_utf8(run.stdout).unwrap();
     assert!(text.contains(&format!("elements      {elements} of at most 0.5 m\n")), "{text}");
+    assert!(text.contains("), keyframes from frame 1 to 2\n"), "{text}");
     files.fails(&["info", "scene.toml", "--rays", "7"], 2, &["--rays"]);
 }
 

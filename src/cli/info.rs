@@ -45,7 +45,12 @@ fn describe_scene(scene: &Scene) -> Vec<String> {
         format!("  centre        {} m, radius {} m", scene.center, length(scene.radius)),
     ];
     for camera in &scene.cameras {
-        lines.push(format!("  camera        {} ({} x {})", camera.name, camera.size[0], camera.size[1]));
+        let [width, height] = camera.size;
+        let path = scene.paths.iter().find(|p| p.name() == camera.name);
+        let frames = path.map_or(String::new(), |p| {
+            format!(", keyframes from frame {} to {}", p.frames().start(), p.frames().end())
+        });
+        lines.push(format!("  camera        {} ({width} x {height}){frames}", camera.name));
     }
     lines
 }

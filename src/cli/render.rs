@@ -7,6 +7,7 @@ use super::{check_outputs, length, options, spare_inputs};
 use crate::Result;
 use crate::accuracy::{Achieved, View, render_to_error};
 use crate::adaptive::{self, Adapted};
+use crate::color::Rgb;
 use crate::embree::Device;
 use crate::emitters::Emitters;
 use crate::image::{self, Image, WriteOptions};
@@ -42,6 +43,8 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     scene.warnings.iter().for_each(|w| progress.warn(w));
     let cameras = cameras(args, &scene)?;
     options::idle_of_render(args, quality(args.quality, &scene)).iter().for_each(|w| progress.warn(w));
+    let left_out = left_out(args.method, &scene);
+    left_out.iter().for_each(|w| progress.warn(w));
     spare_inputs(scene.files.iter().chain(&args.solution), &files(args, &patterns, &cameras))?;
     let kept = args.solution.as_ref().map(|path| {
         pipeline::stage("solution", 0, observer, &mut stages, || (Solution::read_npz(&scene, path), 0))
@@ -56,7 +59,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     let emitters = Emitters::new(&visibility);
     pipeline::require_light(&scene, &emitters)?;
     let versions = Versions::new(&device);
-    let mut warnings = scene.warnings.clone();
+    let mut warnings: Vec<String> = scene.warnings.iter().cloned().chain(left_out).collect();
     let ready = Ready {
         args,
         visibility: &visibility,
@@ -79,6 +82,13 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         report.write(path)?;
     }
     Ok(())
+}
+
+/// Light of a scene that a method leaves out by what it is, in words.
+fn left_out(method: MethodArg, scene: &Scene) -> Option<String> {
+    (method == MethodArg::Whitted && scene.environment != Rgb::ZERO).then(|| {
+        "--method whitted leaves out the environment's light on diffuse surfaces: they show that of emitters alone".into()
+    })
 }
 
 /// All that there is before any light is found.
