@@ -61,6 +61,7 @@ pub mod report;
 pub mod sampling;
 pub mod scene;
 pub mod sequence;
+mod sets;
 pub mod visibility;
 
 pub use error::{Error, Result};

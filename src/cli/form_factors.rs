@@ -8,7 +8,7 @@ use crate::embree::Device;
 use crate::form_factor::export::{self, View};
 use crate::form_factor::{
     AtSpecular, Casting, Enforce, Factors, Found, HemicubeErrors, HemicubeSettings, Request, cast_images,
-    cast_rows, correct, estimate_rows, hemicube, most_by_pairs, unoccluded,
+    cast_rows, correct, estimate_rows, hemicube, size_for_pairs, unoccluded,
 };
 use crate::image::{self, WriteOptions};
 use crate::mesh::{Mesh, Sides, default_element_size};
@@ -163,22 +163,14 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
 /// Size of elements where none is given. Factors between objects do not depend on elements: these are whole faces where factors are
 /// exact whatever the elements are, and so few that every pair is looked at where that is possible.
 fn default_size(args: &FormFactorArgs, scene: &Scene, sides: &Sides, rays: u32) -> Result<f64> {
-    let default = default_element_size(scene);
-    let most = most_by_pairs(rays);
-    match args.method {
-        _ if !args.by_object => return Ok(default),
-        FactorMethodArg::Analytic => return Ok(f64::MAX),
-        FactorMethodArg::Ray if !by_chains(args, scene) && scene.faces.len() <= most => {}
-        FactorMethodArg::Ray | FactorMethodArg::Hemicube => return Ok(default),
-    }
-    let mut size = default;
-    while size < 4.0 * scene.radius {
-        if Mesh::new(scene, sides, size, true)?.len() <= most {
-            return Ok(size);
+    let size = match args.method {
+        FactorMethodArg::Analytic if args.by_object => Some(f64::MAX),
+        FactorMethodArg::Ray if args.by_object && !by_chains(args, scene) => {
+            size_for_pairs(scene, sides, rays)?
         }
-        size *= 1.1;
-    }
-    Ok(default)
+        FactorMethodArg::Analytic | FactorMethodArg::Ray | FactorMethodArg::Hemicube => None,
+    };
+    Ok(size.unwrap_or_else(|| default_element_size(scene)))
 }
 
 /// Whether factors take hemisphere rays because of specular surfaces. Where nothing is specular no chain begins.

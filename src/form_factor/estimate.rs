@@ -3,7 +3,7 @@
 use super::found::{Estimates, Found};
 use super::pairs::{self, FewPairs, PairFactors, PairWork, Surfaces};
 use super::{AtSpecular, Casting, ExchangeMatrix, ObjectTable, analytic, cast_rows};
-use crate::mesh::Mesh;
+use crate::mesh::{Mesh, Sides, default_element_size};
 use crate::scene::Scene;
 use crate::visibility::Visibility;
 use crate::{Error, Result};
@@ -51,14 +51,35 @@ pub struct Request<'a> {
 /// element, or an error is asked for; and where their number and that of the surfaces' sides stays within
 /// [`pairs::MOST_ELEMENTS`] and [`pairs::MOST_SURFACES`].
 pub fn by_pairs(mesh: &Mesh, scene: &Scene, request: &Request) -> bool {
-    let elements = mesh.len();
-    let pays = elements <= most_by_pairs(request.rays) || request.error.is_some();
-    pays && elements <= pairs::MOST_ELEMENTS && has_few_surfaces(mesh, scene)
+    let most = if request.error.is_some() { pairs::MOST_ELEMENTS } else { most_by_pairs(request.rays) };
+    mesh.len() <= most && has_few_surfaces(mesh, scene)
 }
 
-/// Elements up to which every pair is looked at with so many rays an element, whether an error is asked for or not.
-pub fn most_by_pairs(rays: u32) -> usize {
-    (rays / RAYS_A_PAIR) as usize
+/// Elements up to which every pair is looked at with so many rays an element, where no error is asked for.
+fn most_by_pairs(rays: u32) -> usize {
+    ((rays / RAYS_A_PAIR) as usize).min(pairs::MOST_ELEMENTS)
+}
+
+/// An element size \[m\] for factors between objects, which do not depend on elements: the default one, or the next larger one that makes
+/// so few elements that every pair of them is looked at with `rays` rays an element. None where no size does.
+///
+/// # Errors
+/// The default size makes more elements than a mesh may have.
+pub fn size_for_pairs(scene: &Scene, sides: &Sides, rays: u32) -> Result<Option<f64>> {
+    let most = most_by_pairs(rays);
+    let mut size = default_element_size(scene);
+    let mut mesh = Mesh::new(scene, sides, size, true)?;
+    if scene.faces.len() > most || !has_few_surfaces(&mesh, scene) {
+        return Ok(None);
+    }
+    while mesh.len() > most {
+        size *= 1.1;
+        if size > 4.0 * scene.radius {
+            return Ok(None);
+        }
+        mesh = Mesh::new(scene, sides, size, true)?;
+    }
+    Ok(Some(size))
 }
 
 /// Whether what may lie between any two of the surfaces' sides is soon found.

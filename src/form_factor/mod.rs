@@ -24,7 +24,7 @@ mod tally;
 mod tiles;
 
 pub use correct::{Correction, Enforce, correct};
-pub use estimate::{MOST_RAYS, Request, by_pairs, estimate, estimate_rows, most_by_pairs, unoccluded};
+pub use estimate::{MOST_RAYS, Request, by_pairs, estimate, estimate_rows, size_for_pairs, unoccluded};
 pub use export::Factors;
 pub use found::{Estimates, Found};
 pub use gathered::{EmitterIrradiance, EmitterRows, EmitterWork};

@@ -9,6 +9,7 @@
 use super::{Lattice, Mesh, NONE, side_index};
 use crate::color::Rgb;
 use crate::scene::{Face, Scene};
+use crate::sets::Sets;
 use glam::DVec3;
 use rustc_hash::FxHashMap;
 
@@ -186,23 +187,23 @@ pub(super) fn nest(scene: &Scene, grids: &mut [Lattice]) {
     let direction = |grids: &[Lattice], (face, edge): (u32, usize)| {
         2 * face + u32::from(!grids[face as usize].triangle && edge % 2 == 1)
     };
-    let mut parent: Vec<u32> = (0..2 * grids.len() as u32).collect();
+    let mut sets = Sets::new(2 * grids.len());
     for joint in &joints {
         let [a, b] = joint.map(|end| direction(grids, end));
-        let (x, y) = (find(&mut parent, a), find(&mut parent, b));
-        parent[x.max(y) as usize] = x.min(y);
+        sets.join(a, b);
     }
-    let mut range = vec![(u32::MAX, 0u32); parent.len()];
-    for k in 0..parent.len() as u32 {
-        let grid = &grids[k as usize / 2];
+    let set = sets.names();
+    let mut range = vec![(u32::MAX, 0u32); set.len()];
+    for (k, set) in set.iter().enumerate() {
+        let grid = &grids[k / 2];
         let cells = if k % 2 == 0 { grid.nu } else { grid.nv };
-        let r = &mut range[find(&mut parent, k) as usize];
+        let r = &mut range[*set as usize];
         *r = (r.0.min(cells), r.1.max(cells));
     }
-    for k in 0..parent.len() as u32 {
-        let (least, most) = range[find(&mut parent, k) as usize];
+    for (k, set) in set.iter().enumerate() {
+        let (least, most) = range[*set as usize];
         let smallest = most.div_ceil(1 << (most / least).ilog2());
-        let grid = &mut grids[k as usize / 2];
+        let grid = &mut grids[k / 2];
         let cells = if k % 2 == 0 { &mut grid.nu } else { &mut grid.nv };
         let wanted = *cells;
         *cells = smallest;
@@ -234,7 +235,7 @@ fn patches(scene: &Scene) -> (Vec<u32>, Vec<Joint>) {
             *welded.entry(quantise(*v, quantum)).or_insert(next)
         })
         .collect();
-    let mut parent: Vec<u32> = (0..scene.faces.len() as u32).collect();
+    let mut sets = Sets::new(scene.faces.len());
     let mut edges: FxHashMap<(u32, u32), Vec<(u32, usize)>> = FxHashMap::default();
     for (k, face) in scene.faces.iter().enumerate() {
         let corners = if face.is_triangle() { 3 } else { 4 };
@@ -244,8 +245,7 @@ fn patches(scene: &Scene) -> (Vec<u32>, Vec<Joint>) {
             if let Some(others) = edges.get(&(b, a)) {
                 for &(other, corner) in others {
                     if continuous(scene, face, c, &scene.faces[other as usize], corner) {
-                        let (x, y) = (find(&mut parent, k as u32), find(&mut parent, other));
-                        parent[x.max(y) as usize] = x.min(y);
+                        sets.join(k as u32, other);
                         joints.push([(k as u32, c), (other, corner)]);
                     }
                 }
@@ -253,15 +253,7 @@ fn patches(scene: &Scene) -> (Vec<u32>, Vec<Joint>) {
             edges.entry((a, b)).or_default().push((k as u32, c));
         }
     }
-    ((0..scene.faces.len() as u32).map(|k| find(&mut parent, k)).collect(), joints)
-}
-
-fn find(parent: &mut [u32], mut k: u32) -> u32 {
-    while parent[k as usize] != k {
-        parent[k as usize] = parent[parent[k as usize] as usize];
-        k = parent[k as usize];
-    }
-    k
+    (sets.names(), joints)
 }
 
 /// Whether radiosity is continuous from `a` to `b` over the edge that starts at the given corners.

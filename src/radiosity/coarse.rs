@@ -13,6 +13,7 @@
 
 use super::Transport;
 use super::exchange::MANY;
+use super::regions::runs;
 use crate::color::Rgb;
 use crate::form_factor::ExchangeMatrix;
 use crate::mesh::{Mesh, NONE};
@@ -42,9 +43,13 @@ pub(super) struct Coarse {
 }
 
 impl Coarse {
-    /// Of the factors between a mesh's elements.
-    pub fn new(scene: &Scene, mesh: &Mesh, matrix: &ExchangeMatrix, transport: &Transport) -> Coarse {
-        let (patch, count) = patches(scene, mesh);
+    /// Of the factors between a mesh's elements, and their [`patches`].
+    pub fn new(
+        mesh: &Mesh,
+        matrix: &ExchangeMatrix,
+        transport: &Transport,
+        (patch, count): (Vec<u16>, usize),
+    ) -> Coarse {
         let mut first = vec![0; count + 1];
         patch.iter().for_each(|p| first[usize::from(*p) + 1] += 1);
         (0..count).for_each(|p| first[p + 1] += first[p]);
@@ -65,9 +70,10 @@ impl Coarse {
         let mut coarse = Coarse { patch, part, bounced: Default::default(), members, first };
         let mean = |values: &[Rgb]| coarse.means(values);
         let (reflected, passed) = (mean(&transport.reflectance), mean(&transport.transmittance));
-        // A patch may be smaller than the elements of an adaptive mesh and have none.
+        // A patch may be smaller than the elements of an adaptive mesh and have none, or few that let light through.
+        let passes = |e: &&u32| transport.transmittance[**e as usize] != Rgb::ZERO;
         let behind: Vec<usize> = (0..count)
-            .map(|p| match coarse.of_patch(p).first().map_or(NONE, |e| mesh.opposite(*e)) {
+            .map(|p| match coarse.of_patch(p).iter().find(passes).map_or(NONE, |e| mesh.opposite(*e)) {
                 NONE => p,
                 e => usize::from(coarse.patch[e as usize]),
             })
@@ -131,19 +137,20 @@ impl Coarse {
     }
 }
 
-/// The patch of each element, and how many there are: equal parts of sides of faces, or runs of elements where sides are many.
-fn patches(scene: &Scene, mesh: &Mesh) -> (Vec<u16>, usize) {
+/// The patch of each element, and how many there are: equal parts of sides of faces, or elements of one of the regions
+/// ([`super::regions`]) where sides are many.
+pub(super) fn patches(scene: &Scene, mesh: &Mesh, regions: impl FnOnce() -> Vec<u32>) -> (Vec<u16>, usize) {
     let (n, sides) = (mesh.len(), mesh.sides().count());
     let enough = n / OF_A_PATCH;
     let most = (((MOST_WORK * n) as f64).cbrt() as usize).max(enough).min(MOST_PATCHES);
     if 2 * sides > most {
-        let count = most.min(n);
-        return ((0..n).map(|e| (e * count / n) as u16).collect(), count);
+        return runs(&regions(), most);
     }
     let most = enough.max(2 * sides).min(most);
     let area: f64 = (0..n as u32).map(|e| mesh.area(e)).sum();
     let mut size = (area / most as f64).sqrt();
     loop {
+        // At the latest when each side is a patch of its own, these are few enough.
         match Mesh::patches(scene, &mesh.sides(), size) {
             Ok(coarse) if coarse.len() <= most => {
                 let patch = |e: u32| {

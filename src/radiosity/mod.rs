@@ -12,6 +12,7 @@ mod lamps;
 mod ledger;
 mod reconstruct;
 mod refine;
+mod regions;
 mod solve;
 mod symmetric;
 mod system;
@@ -234,7 +235,7 @@ pub fn solve_irradiance(
     let rows = Rows::from(matrix);
     let sums = matrix.multiply(&vec![Rgb::ONE; matrix.len()]);
     let exchange = exchange::Exchange::new(rows, &sums, None);
-    let acceleration = Acceleration::Balance(Groups::new(&vec![0; matrix.len()]));
+    let acceleration = Acceleration::Balance(Groups::new(&vec![0; matrix.len()], Vec::new));
     solve::solve(&exchange, transport, &acceleration, incident, None, tolerance)
 }
 

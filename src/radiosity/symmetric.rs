@@ -11,6 +11,7 @@
 
 use super::Transport;
 use super::exchange::{Exchange, MANY};
+use super::regions::runs;
 use super::solve::{combine, ratio, subtract};
 use crate::color::Rgb;
 use rayon::prelude::*;
@@ -32,16 +33,17 @@ pub(super) struct Symmetric<'a, 'm> {
 }
 
 impl<'a, 'm> Symmetric<'a, 'm> {
-    /// Prepares the groups; `side` tells the side of a face by element, in runs. None where the exchange is not reciprocal.
+    /// Prepares the groups ([`Groups::new`]). None where the exchange is not reciprocal.
     pub fn new(
         exchange: &'a Exchange<'m>,
         transport: &'a Transport,
         side: &[u32],
+        regions: impl FnOnce() -> Vec<u32>,
     ) -> Option<Symmetric<'a, 'm>> {
         let balance = exchange.balance()?;
         let rho = &transport.reflectance;
         let weight: Vec<Rgb> = rho.iter().zip(&balance.open).map(|(r, a)| *r * *a).collect();
-        let groups = Groups::new(side);
+        let groups = Groups::new(side, regions);
         let mut matrix = balance.by_groups(&groups.of, groups.count, rho);
         for (i, g) in groups.of.iter().enumerate() {
             matrix[usize::from(*g) * (groups.count + 1)] +=
@@ -114,7 +116,7 @@ impl<'a, 'm> Symmetric<'a, 'm> {
     }
 }
 
-/// Elements in groups: sides of faces as long as these are few, else equal runs of elements.
+/// Elements in groups: sides of faces as long as these are few, else equally many elements of one region.
 pub(super) struct Groups {
     /// The group of each element.
     of: Vec<u16>,
@@ -122,8 +124,8 @@ pub(super) struct Groups {
 }
 
 impl Groups {
-    /// `side` tells the side of a face by element, in runs.
-    pub fn new(side: &[u32]) -> Groups {
+    /// `side` tells the side of a face by element, in runs; `regions` by element what exchanges light ([`super::regions`]).
+    pub fn new(side: &[u32], regions: impl FnOnce() -> Vec<u32>) -> Groups {
         let mut of = Vec::with_capacity(side.len());
         let (mut count, mut last) = (0usize, u32::MAX);
         for s in side {
@@ -134,9 +136,7 @@ impl Groups {
             of.push((count - 1).min(MOST_GROUPS) as u16);
         }
         if count > MOST_GROUPS {
-            let n = side.len();
-            of = (0..n).map(|i| (i * MOST_GROUPS / n) as u16).collect();
-            count = MOST_GROUPS;
+            (of, count) = runs(&regions(), MOST_GROUPS);
         }
         Groups { of, count }
     }
@@ -199,10 +199,10 @@ mod tests {
 
     #[test]
     fn groups_are_sides_or_runs() {
-        let few = Groups::new(&[7, 7, 2, 2, 9]);
+        let few = Groups::new(&[7, 7, 2, 2, 9], Vec::new);
         assert_eq!((few.of, few.count), (vec![0, 0, 1, 1, 2], 3));
         let many: Vec<u32> = (0..1000).collect();
-        let Groups { of, count } = Groups::new(&many);
+        let Groups { of, count } = Groups::new(&many, || vec![0; 1000]);
         assert_eq!((count, of[0], of[999]), (MOST_GROUPS, 0, MOST_GROUPS as u16 - 1));
     }
 }

@@ -1,8 +1,9 @@
 //! The linear system of pass 1 as a mesh's rows give it: for light, and for what light is worth.
 
 use super::Transport;
-use super::coarse::Coarse;
+use super::coarse::{Coarse, patches};
 use super::exchange::{Exchange, residual_operator};
+use super::regions::regions;
 use super::solve::{self, Acceleration, Convergence};
 use super::symmetric::{Groups, Symmetric};
 use crate::color::Rgb;
@@ -53,10 +54,16 @@ impl<'m> System<'m> {
     pub(super) fn acceleration(&self, scene: &Scene, mesh: &Mesh) -> Acceleration<'_, 'm> {
         // A scene may be all mirrors.
         let kept = self.exchange.rows.kept().filter(|_| !self.side.is_empty());
-        match (Symmetric::new(&self.exchange, &self.transport, &self.side), kept) {
+        // Of rows that are cast again, all elements may exchange light.
+        let one = || vec![0; self.side.len()];
+        let regions = || kept.map_or_else(one, |matrix| regions(&self.side, mesh, matrix, &self.transport));
+        match (Symmetric::new(&self.exchange, &self.transport, &self.side, regions), kept) {
             (Some(symmetric), _) => Acceleration::Symmetric(symmetric),
-            (None, Some(matrix)) => Acceleration::Coarse(Coarse::new(scene, mesh, matrix, &self.transport)),
-            (None, None) => Acceleration::Balance(Groups::new(&self.side)),
+            (None, Some(matrix)) => {
+                let patches = patches(scene, mesh, regions);
+                Acceleration::Coarse(Coarse::new(mesh, matrix, &self.transport, patches))
+            }
+            (None, None) => Acceleration::Balance(Groups::new(&self.side, one)),
         }
     }
 

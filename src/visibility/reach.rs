@@ -19,6 +19,7 @@ use crate::geometry::Frame;
 use crate::mesh::{Sides, side_index};
 use crate::sampling::{cosine_hemisphere, seed_of, sobol};
 use crate::scene::CameraFrame;
+use crate::sets::Sets;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -150,26 +151,16 @@ fn to_try(visibility: &Visibility, reached: &[bool], sheets: &mut Option<Vec<u32
 /// The sheet of every side, named by one of its sides.
 fn sheets_of(visibility: &Visibility) -> Vec<u32> {
     let scene = visibility.scene();
-    let mut parent: Vec<u32> = (0..2 * scene.faces.len() as u32).collect();
-    fn find(parent: &mut [u32], mut k: u32) -> u32 {
-        while parent[k as usize] != k {
-            parent[k as usize] = parent[parent[k as usize] as usize];
-            k = parent[k as usize];
-        }
-        k
-    }
+    let mut sets = Sets::new(2 * scene.faces.len());
     for edge in shared_edges(scene).chunk_by(|a, b| a.0 == b.0) {
         let [(_, a, i), (_, b, k)] = edge else { continue };
         // Neighbours of one orientation run along their edge in opposite directions.
         let start =
             |face: u32, corner: u8| scene.corner(&scene.faces[face as usize], corner.into()).as_vec3();
         let turned = u32::from(start(*a, *i) == start(*b, *k));
-        for side in 0..2 {
-            let (x, y) = (find(&mut parent, 2 * a + side), find(&mut parent, 2 * b + (side ^ turned)));
-            parent[x.max(y) as usize] = x.min(y);
-        }
+        (0..2).for_each(|side| sets.join(2 * a + side, 2 * b + (side ^ turned)));
     }
-    (0..parent.len() as u32).map(|k| find(&mut parent, k)).collect()
+    sets.names()
 }
 
 /// Adds the sides from which some segment to a point that was found, or a ray to the outside, is free.
