@@ -12,8 +12,8 @@
 //! the *other* randomisations of the element saw, so the estimate has no bias; where everything is seen it is `E` itself, and
 //! where nothing is seen it is zero. Each emitter has its own: one that a wall hides leaves what another gives exact.
 //!
-//! Of scenes of few faces, geometry tells which emitters nothing can hide from a face, and which one face hides from all of it: these take
-//! no samples.
+//! Of scenes of few surfaces, geometry tells which emitters nothing can hide from a face, and which one surface hides from all of it: these
+//! take no samples.
 //!
 //! Near emitters are sampled uniformly in solid angle (Arvo 1995), so that a weight is bounded however close the
 //! emitter comes: at an edge that lamp and wall share, area samples have infinite variance.
@@ -23,6 +23,7 @@ use crate::embree::{LANES, ShadowPacket};
 use crate::emitters::Emitters;
 use crate::form_factor::EmitterIrradiance;
 use crate::form_factor::analytic::{Polygon, exchange};
+use crate::form_factor::pairs::Surfaces;
 use crate::mesh::{Mesh, NONE, side_index};
 use crate::sampling::{Scramble, ScrambledPoints, SobolTable, seed_of, sobol, unit};
 use crate::scene::{FaceFrame, Scene};
@@ -35,9 +36,11 @@ use std::f64::consts::PI;
 const ACCURACY: f64 = 1e-8;
 /// Emitters within so many of their radii are sampled by solid angle.
 const NEAR: f64 = 1.5;
-/// Scenes of more faces are not searched for what hides an emitter: something may.
-const MOST_CHECKED: usize = 500;
-/// Samples that may be hidden, of those of a side that were not.
+/// Most faces that are joined to surfaces to be searched for what hides an emitter.
+const MOST_FACES: usize = 10_000;
+/// Sides of faces times emitters times surfaces beyond which nothing is searched: something may hide an emitter.
+const MOST_CHECKED: usize = 1 << 23;
+/// Samples that may be hidden where none of many was: their expectation is not more, with 95 % confidence.
 const MISSED: f64 = 3.0;
 /// Share of the samples that go to all emitters alike.
 const EVENLY: f64 = 0.1;
@@ -49,7 +52,7 @@ pub(super) struct Lamps<'a, 's> {
     visibility: &'a Visibility<'s>,
     mesh: &'a Mesh,
     lamps: Vec<Lamp>,
-    /// By side and lamp; empty where faces are too many to be searched.
+    /// By side and lamp; empty where surfaces are too many to be searched.
     sights: Vec<Sight>,
 }
 
@@ -60,7 +63,7 @@ enum Sight {
     Free,
     /// Something may be.
     Doubtful,
-    /// One face hides all of it.
+    /// One surface hides all of it.
     Hidden,
 }
 
@@ -98,17 +101,21 @@ impl<'a, 's> Lamps<'a, 's> {
         };
         let lamps: Vec<Lamp> = emitters.are_few().then(|| emitters.sides().map(lamp).collect())?;
         let mut lamps = Lamps { visibility, mesh, lamps, sights: Vec::new() };
-        if scene.faces.len() > MOST_CHECKED {
+        if scene.faces.len() > MOST_FACES {
             return Some(lamps);
         }
+        let surfaces = Surfaces::new(scene);
         let faces: Vec<Polygon> = scene.faces.iter().map(|f| Polygon::of_face(scene, f)).collect();
+        if 2 * faces.len() * lamps.lamps.len() * surfaces.polygons.len() > MOST_CHECKED {
+            return Some(lamps);
+        }
         let sights = |side: usize| {
             let (face, front) = (side / 2, side % 2 == 0);
             let polygon = &faces[face];
             let seen_from = if front { *polygon } else { Polygon::new(polygon.corners(), -polygon.normal) };
             let has_elements = mesh.first(face as u32, front) != NONE;
             let sight = |lamp: &Lamp| match has_elements {
-                true => sight(&faces, scene.radius, (&seen_from, face as u32), lamp),
+                true => sight(&surfaces, scene.radius, (&seen_from, face as u32), lamp),
                 false => Sight::Doubtful,
             };
             lamps.lamps.iter().map(sight).collect::<Vec<Sight>>()
@@ -248,11 +255,12 @@ impl<'a, 's> Lamps<'a, 's> {
     }
 }
 
-/// How a lamp is seen from a face (its polygon with the normal of the side, and its number) among all `faces`.
-fn sight(faces: &[Polygon], radius: f64, (from, face): (&Polygon, u32), lamp: &Lamp) -> Sight {
-    let eps = 1e-9 * radius;
+/// How a lamp is seen from a face (its polygon with the normal of the side, and its number) among all `surfaces`.
+fn sight(surfaces: &Surfaces, radius: f64, (from, face): (&Polygon, u32), lamp: &Lamp) -> Sight {
+    let eps = surfaces.eps.max(1e-9 * radius);
     let ahead = |of: &Polygon, c: &DVec3| (*c - of.corners()[0]).dot(of.normal) > eps;
-    let others = faces.iter().enumerate().filter(|(k, _)| ![face, lamp.face].contains(&(*k as u32)));
+    let own = [face, lamp.face].map(|face| surfaces.of_face[face as usize] as usize);
+    let others = surfaces.polygons.iter().enumerate().filter(|(k, _)| !own.contains(k));
     let mut sight = Sight::Free;
     for (_, screen) in others {
         let height = |c: &DVec3| (*c - screen.corners()[0]).dot(screen.normal);
