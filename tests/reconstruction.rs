@@ -388,3 +388,63 @@ fn rays_find_the_element_that_they_hit() {
     let fronts = Mesh::new(&scene, &Sides::fronts(&scene), 0.05, true).unwrap();
     assert!((0..scene.faces.len() as u32).all(|f| fronts.element(f, false, 0.3, 0.3) == NONE));
 }
+
+/// Two floors that meet at x = 2, bright beyond it, and a wall over that line from one y to another and from one z to 1; triangles on demand.
+fn floors(wall: Option<[f64; 3]>, triangles: bool) -> Setup {
+    let mut obj = "o floor\nv 0 0 0\nv 2 0 0\nv 4 0 0\nv 4 2 0\nv 2 2 0\nv 0 2 0\n".to_string();
+    obj += if triangles { "f 1 2 5\nf 1 5 6\nf 2 3 4\nf 2 4 5\n" } else { "f 1 2 5 6\nf 2 3 4 5\n" };
+    if let Some([from, to, foot]) = wall {
+        obj += &format!("o wall\nv 2 {from} {foot}\nv 2 {to} {foot}\nv 2 {to} 1\nv 2 {from} 1\nf 7 8 9 10\n");
+    }
+    Setup::new(&obj, 0.5)
+}
+
+/// Light ends at a wall that stands on the edge between two faces, or passes through it, and goes on past its end and behind a doorway.
+#[test]
+fn light_does_not_leak_under_walls() {
+    for triangles in [false, true] {
+        for (wall, walled, open) in [
+            (None, 0.0..=0.0, 0.0..=2.0),
+            (Some([0.0, 2.0, 0.0]), 0.0..=2.0, 9.0..=9.0),
+            (Some([-1.0, 3.0, 0.0]), 0.0..=2.0, 9.0..=9.0),
+            (Some([0.0, 2.0, -1.0]), 0.0..=2.0, 9.0..=9.0),
+            (Some([0.0, 1.0, 0.0]), 0.0..=0.5, 1.0..=2.0),
+            (Some([0.0, 1.25, 0.0]), 0.0..=1.0, 1.5..=2.0),
+            (Some([0.6, 1.9, 0.0]), 1.0..=1.5, 2.0..=2.0),
+        ] {
+            let setup = floors(wall, triangles);
+            let bright = |e: u32| {
+                let (face, _, cell) = setup.mesh.place(e);
+                let frame = setup.scene.face_frame(&setup.scene.faces[face as usize]);
+                f64::from(u8::from(frame.at(setup.mesh.grid(face).centroid(cell)).x > 2.0))
+            };
+            let field = setup.field(bright);
+            for k in 0..=32 {
+                let point = DVec3::new(2.0, f64::from(k) / 16.0, 0.0);
+                let mut meeting = Vec::new();
+                let on_floor = |f: &u32| setup.scene.faces[*f as usize].normal.z.abs() > 0.5;
+                for face in (0..setup.scene.faces.len() as u32).filter(on_floor) {
+                    let uv = setup.uv(face, point);
+                    let far = if setup.scene.faces[face as usize].is_triangle() { uv.x + uv.y } else { 0.0 };
+                    if uv.min_element() < -1e-9 || far > 1.0 + 1e-9 {
+                        continue;
+                    }
+                    let beyond = bright(setup.mesh.first(face, true));
+                    let value = setup.at(&field, (face, true), uv.clamp(DVec2::ZERO, DVec2::ONE));
+                    let what =
+                        format!("wall {wall:?}, triangles {triangles}, face {face}, y {}: {value}", point.y);
+                    if walled.contains(&point.y) && wall.is_some() {
+                        assert!((value - beyond).abs() < 1e-6, "{what}, not {beyond}");
+                    }
+                    meeting.push(value);
+                }
+                let least = meeting.iter().copied().fold(f64::INFINITY, f64::min);
+                let most = meeting.iter().copied().fold(0.0, f64::max);
+                let apart = most - least;
+                if open.contains(&point.y) {
+                    assert!(apart < 1e-6, "wall {wall:?}, y {}: {meeting:?} apart", point.y);
+                }
+            }
+        }
+    }
+}

@@ -6,6 +6,7 @@
 
 mod division;
 mod grid;
+mod joint;
 mod lattice;
 mod patch;
 mod place;

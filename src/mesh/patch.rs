@@ -2,19 +2,17 @@
 //!
 //! A node is shared by cells of the same patch only: faces that meet along an edge, have the same
 //! material and lie in one plane (or carry equal shading normals along the edge). So a value that
-//! is interpolated between nodes never bleeds over a crease, between materials or to the far side,
-//! and it is continuous over each patch: where neighbours divide their common edge differently, the
+//! is interpolated between nodes never bleeds over a crease, between materials, under a wall that stands on the edge or to the far
+//! side, and it is continuous over each patch elsewhere: where neighbours divide their common edge differently, the
 //! finer one's nodes on the edge hang between the nodes of the coarser one.
 
+use super::joint::{Joint, Place, Sectors, patches, quantise, quantum};
 use super::{Lattice, Mesh, NONE, side_index};
 use crate::color::Rgb;
-use crate::scene::{Face, Scene};
+use crate::scene::Scene;
 use crate::sets::Sets;
 use glam::DVec3;
 use rustc_hash::FxHashMap;
-
-/// Cosine of the largest angle between faces of one plane (0.08 degrees).
-const COPLANAR: f64 = 1.0 - 1e-6;
 
 /// Global node numbers of every side that has elements.
 #[derive(Debug, Clone)]
@@ -36,18 +34,15 @@ struct Hanging {
     ends: [u32; 2],
 }
 
-/// Patch, side and place of a node.
-type Key = (u32, bool, [i64; 3]);
-
-/// An edge that two faces of a patch share: face and edge number of either, which run along it in
-/// opposite directions.
-type Joint = [(u32, usize); 2];
+/// Patch, side and place of a node, and where a wall stands its sector ([`Sectors`]).
+type Key = (u32, bool, Place, u32);
 
 impl Nodes {
     /// Numbers the nodes of a mesh.
     pub fn new(scene: &Scene, mesh: &Mesh) -> Nodes {
         let (patches, joints) = patches(scene);
-        let quantum = 1e-7 * scene.radius.max(f64::MIN_POSITIVE);
+        let quantum = quantum(scene);
+        let sectors = Sectors::new(scene, mesh, &patches, &joints);
         let mut seen: FxHashMap<Key, u32> = FxHashMap::default();
         let (mut first, mut ids) = (vec![NONE; 2 * scene.faces.len()], Vec::new());
         for (k, face) in scene.faces.iter().enumerate() {
@@ -58,7 +53,8 @@ impl Nodes {
                 }
                 first[side_index(k as u32, front)] = ids.len() as u32;
                 for uv in mesh.grid(k as u32).node_points() {
-                    let key = (patches[k], front, quantise(frame.at(uv), quantum));
+                    let place = quantise(frame.at(uv), quantum);
+                    let key = (patches[k], front, place, sectors.of(k as u32, &place));
                     let next = seen.len() as u32;
                     ids.push(*seen.entry(key).or_insert(next));
                 }
@@ -67,7 +63,11 @@ impl Nodes {
         let count = seen.len();
         let mut nodes = Nodes { first, ids, count, hanging: Vec::new(), steep: Vec::new() };
         for face in uneven(mesh, &joints) {
-            nodes.hang(scene, mesh, face, (patches[face as usize], quantum), &seen);
+            let key = |front: bool, place: DVec3| {
+                let place = quantise(place, quantum);
+                (patches[face as usize], front, place, sectors.of(face, &place))
+            };
+            nodes.hang(scene, mesh, face, key, &seen);
         }
         nodes.order();
         nodes
@@ -79,7 +79,7 @@ impl Nodes {
         scene: &Scene,
         mesh: &Mesh,
         face: u32,
-        (patch, quantum): (u32, f64),
+        key: impl Fn(bool, DVec3) -> Key,
         seen: &FxHashMap<Key, u32>,
     ) {
         let frame = scene.face_frame(&scene.faces[face as usize]);
@@ -93,8 +93,7 @@ impl Nodes {
                 let mut pending = vec![(whole, 1)];
                 while let Some(([a, b], depth)) = pending.pop() {
                     let uv = 0.5 * (a.1 + b.1);
-                    let key = (patch, front, quantise(frame.at(uv), quantum));
-                    let Some(&node) = seen.get(&key) else { continue };
+                    let Some(&node) = seen.get(&key(front, frame.at(uv))) else { continue };
                     self.hanging.push(Hanging { node, ends: [a.0, b.0] });
                     if depth > 1 {
                         self.steep.push((face, *cell, *axis));
@@ -165,12 +164,12 @@ impl Nodes {
 fn uneven(mesh: &Mesh, joints: &[Joint]) -> Vec<u32> {
     let mut uneven: Vec<u32> = Vec::new();
     for joint in joints {
-        let [a, b] = joint.map(|(face, edge)| {
+        let [a, b] = joint.ends.map(|(face, edge)| {
             let grid = mesh.grid(face);
             (grid.lattice.edge_cells(edge), grid.is_adaptive())
         });
         if a.1 || b.1 || a.0 != b.0 {
-            uneven.extend(joint.map(|(face, _)| face));
+            uneven.extend(joint.ends.map(|(face, _)| face));
         }
     }
     uneven.extend((0..mesh.grids.len() as u32).filter(|k| mesh.grid(*k).is_adaptive()));
@@ -189,7 +188,7 @@ pub(super) fn nest(scene: &Scene, grids: &mut [Lattice]) {
     };
     let mut sets = Sets::new(2 * grids.len());
     for joint in &joints {
-        let [a, b] = joint.map(|end| direction(grids, end));
+        let [a, b] = joint.ends.map(|end| direction(grids, end));
         sets.join(a, b);
     }
     let set = sets.names();
@@ -214,63 +213,4 @@ pub(super) fn nest(scene: &Scene, grids: &mut [Lattice]) {
             grid.nv = grid.nu;
         }
     }
-}
-
-/// Rounds a position to a lattice; the irrational shift keeps decimal coordinates off its borders.
-fn quantise(p: DVec3, quantum: f64) -> [i64; 3] {
-    let q = p / quantum + DVec3::splat(0.381_966_011_250_105);
-    [q.x.floor() as i64, q.y.floor() as i64, q.z.floor() as i64]
-}
-
-/// A patch number for each face, and the edges along which faces of a patch meet.
-fn patches(scene: &Scene) -> (Vec<u32>, Vec<Joint>) {
-    let mut joints = Vec::new();
-    let quantum = 1e-7 * scene.radius.max(f64::MIN_POSITIVE);
-    let mut welded: FxHashMap<[i64; 3], u32> = FxHashMap::default();
-    let weld: Vec<u32> = scene
-        .vertices
-        .iter()
-        .map(|v| {
-            let next = welded.len() as u32;
-            *welded.entry(quantise(*v, quantum)).or_insert(next)
-        })
-        .collect();
-    let mut sets = Sets::new(scene.faces.len());
-    let mut edges: FxHashMap<(u32, u32), Vec<(u32, usize)>> = FxHashMap::default();
-    for (k, face) in scene.faces.iter().enumerate() {
-        let corners = if face.is_triangle() { 3 } else { 4 };
-        for c in 0..corners {
-            let (a, b) = (weld[face.vertices[c] as usize], weld[face.vertices[(c + 1) % corners] as usize]);
-            // Neighbours of one orientation run along their common edge in opposite directions.
-            if let Some(others) = edges.get(&(b, a)) {
-                for &(other, corner) in others {
-                    if continuous(scene, face, c, &scene.faces[other as usize], corner) {
-                        sets.join(k as u32, other);
-                        joints.push([(k as u32, c), (other, corner)]);
-                    }
-                }
-            }
-            edges.entry((a, b)).or_default().push((k as u32, c));
-        }
-    }
-    (sets.names(), joints)
-}
-
-/// Whether radiosity is continuous from `a` to `b` over the edge that starts at the given corners.
-fn continuous(scene: &Scene, a: &Face, ca: usize, b: &Face, cb: usize) -> bool {
-    if a.material != b.material {
-        return false;
-    }
-    if a.polygon == b.polygon || a.normal.dot(b.normal) > COPLANAR {
-        return true;
-    }
-    let (Some(na), Some(nb)) = (a.normals, b.normals) else { return false };
-    let at = |normals: [u32; 4], face: &Face, c: usize| {
-        let corners = if face.is_triangle() { 3 } else { 4 };
-        scene.normals[normals[c % corners] as usize]
-    };
-    let same = |x: DVec3, y: DVec3| x.dot(y) > 1.0 - 1e-4;
-    a.normal.dot(b.normal) > 0.5
-        && same(at(na, a, ca), at(nb, b, cb + 1))
-        && same(at(na, a, ca + 1), at(nb, b, cb))
 }
