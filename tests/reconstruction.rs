@@ -448,3 +448,31 @@ fn light_does_not_leak_under_walls() {
         }
     }
 }
+
+/// A slab, 4 m by 2, on which a wall 2 m long and 1 m high stands, a box of 0.8 m without a bottom, and a plate 0.1 m high.
+#[test]
+fn faces_are_divided_where_walls_stand() {
+    let slab = "o slab\nv 0 0 0\nv 4 0 0\nv 4 2 0\nv 0 2 0\nf 1 2 3 4\n";
+    let wall = "o wall\nv 1.5 0 0\nv 1.5 2 0\nv 1.5 2 1\nv 1.5 0 1\nf -4 -3 -2 -1\n";
+    let low = wall.replace(" 1\nv", " 0.1\nv").replace(" 1\nf", " 0.1\nf");
+    let closed = "o box\nv 2 0.5 0\nv 2.8 0.5 0\nv 2.8 1.3 0\nv 2 1.3 0\nv 2 0.5 1\nv 2.8 0.5 1\nv 2.8 1.3 1\nv 2 1.3 1\n\
+        f -8 -7 -3 -4\nf -7 -6 -2 -3\nf -6 -5 -1 -2\nf -5 -8 -4 -1\nf -4 -3 -2 -1\n";
+    // Half of it below the slab.
+    let sunk = wall.replace(" 0\n", " -1\n");
+    let lidless = closed.replace("f -4 -3 -2 -1\n", "");
+    for (what, things, parts) in [
+        ("nothing", String::new(), 1),
+        ("a wall", wall.into(), 2),
+        ("a wall that passes through", sunk, 2),
+        ("a low sheet", low, 1),
+        ("a closed box", closed.into(), 1),
+        ("a box without a lid", lidless, 9),
+    ] {
+        let scene = scene(&format!("{slab}{things}"));
+        let of_slab: Vec<_> =
+            scene.faces.iter().filter(|f| scene.objects[f.object as usize] == "slab").collect();
+        let area: f64 = of_slab.iter().map(|f| f.area).sum();
+        assert_eq!(of_slab.len(), parts, "{what}");
+        assert!((area - 8.0).abs() < 1e-9, "{what}: {area}");
+    }
+}

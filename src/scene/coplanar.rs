@@ -87,7 +87,7 @@ impl Coated<'_> {
 }
 
 /// Convex parts of a face.
-type Pieces = Vec<(Vec<DVec3>, Made)>;
+pub(super) type Pieces = Vec<(Vec<DVec3>, Made)>;
 
 /// Which materials keep their part before others, the lowest first.
 fn precedence(material: &Material) -> u8 {
@@ -293,7 +293,7 @@ fn part(faces: &mut [Face], points: &mut Vec<DVec3>, parted: &[(u32, DVec3)]) {
 }
 
 /// Puts pieces in the places of the faces that they are left of.
-fn replace(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, mut replaced: Vec<(u32, Pieces)>) {
+pub(super) fn replace(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, mut replaced: Vec<(u32, Pieces)>) {
     replaced.sort_unstable_by_key(|r| r.0);
     let mut rest = replaced.into_iter().peekable();
     for (k, face) in std::mem::take(faces).into_iter().enumerate() {
@@ -346,7 +346,7 @@ impl Flat {
     }
 }
 
-fn corners(face: &Face, points: &[DVec3]) -> Vec<DVec3> {
+pub(super) fn corners(face: &Face, points: &[DVec3]) -> Vec<DVec3> {
     face.vertices[..if face.is_triangle() { 3 } else { 4 }].iter().map(|&v| points[v as usize]).collect()
 }
 

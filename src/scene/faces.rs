@@ -1,7 +1,7 @@
 //! From polygons in file units to the faces of a scene.
 
 use super::obj::{ObjFile, Polygon};
-use super::{Face, Material, coplanar, frame, polygon};
+use super::{Face, Material, coplanar, footing, frame, polygon};
 use crate::error::{Error, Result};
 use glam::{DVec2, DVec3};
 use rustc_hash::FxHashMap;
@@ -335,6 +335,7 @@ impl Builder {
         ] {
             warnings.extend(self.named(objects, what));
         }
+        footing::divide(&mut self.faces, &mut self.points, materials);
         self.faces.sort_by_key(|f| !f.is_triangle());
 
         let mut vertices = Compacted::default();

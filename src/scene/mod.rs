@@ -9,6 +9,7 @@ mod coplanar;
 mod document;
 mod faces;
 mod features;
+mod footing;
 mod frame;
 mod load;
 mod material;
