@@ -3,7 +3,7 @@
 use super::args::{AdaptiveArgs, ElementArgs, EstimatorArg, MethodArg, Pass1Args, QualityArg, RenderArgs};
 use super::frames::{Pattern, check_range, refuse_pattern};
 use super::progress::Progress;
-use super::{check_outputs, length, options, spare_inputs};
+use super::{check_outputs, length, options};
 use crate::Result;
 use crate::accuracy::{Achieved, View, render_to_error};
 use crate::adaptive::{self, Adapted};
@@ -45,7 +45,8 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     options::idle_of_render(args, quality(args.quality, &scene)).iter().for_each(|w| progress.warn(w));
     let left_out = left_out(args.method, &scene);
     left_out.iter().for_each(|w| progress.warn(w));
-    spare_inputs(scene.files.iter().chain(&args.solution), &files(args, &patterns, &cameras))?;
+    check_outputs(scene.files.iter().chain(&args.solution), &files(args, &patterns, &cameras))?;
+    cameras.iter().take(1).try_for_each(|c| fits(&args.output, c.1.size))?;
     let kept = args.solution.as_ref().map(|path| {
         pipeline::stage("solution", 0, observer, &mut stages, || (Solution::read_npz(&scene, path), 0))
     });
@@ -292,7 +293,12 @@ impl<'s> Ready<'_, 's> {
     }
 }
 
-/// Checks what is to be written; the names of the frames, where a path is rendered.
+/// Refuses pictures of more pixels across or down than their formats can hold; those of a camera are of one size.
+fn fits(outputs: &[PathBuf], size: [u32; 2]) -> Result<()> {
+    outputs.iter().try_for_each(|o| image::fits(o, size.map(|n| n as usize)))
+}
+
+/// Checks what can be checked without the scene; the names of the frames, where a path is rendered.
 fn outputs(args: &RenderArgs) -> Result<Vec<Pattern>> {
     let inputs = [&args.scene].into_iter().chain(&args.solution);
     let Some(frames) = &args.frames else {
@@ -308,7 +314,7 @@ fn outputs(args: &RenderArgs) -> Result<Vec<Pattern>> {
     Ok(patterns)
 }
 
-/// All files that will be written.
+/// All files that will be written: those of every frame may meet each other or the report, or be folders.
 fn files(args: &RenderArgs, patterns: &[Pattern], cameras: &[(u32, Camera)]) -> Vec<PathBuf> {
     let pictures = patterns.iter().flat_map(|p| cameras.iter().map(|c| p.file(c.0)));
     let named = if args.frames.is_some() { &[][..] } else { &args.output };
