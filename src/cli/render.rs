@@ -4,7 +4,6 @@ use super::args::{AdaptiveArgs, ElementArgs, EstimatorArg, MethodArg, Pass1Args,
 use super::frames::{Pattern, check_range, refuse_pattern};
 use super::progress::Progress;
 use super::{check_outputs, length, options};
-use crate::Result;
 use crate::accuracy::{Achieved, View, render_to_error};
 use crate::adaptive::{self, Adapted};
 use crate::color::Rgb;
@@ -18,9 +17,10 @@ use crate::render::{
     Estimator, GATHER_RAYS, Method, Quality, Renderer, Settings, cut_off, render_directional,
 };
 use crate::report::{KeptReport, Pass1Report, Report, Versions, command_line};
-use crate::scene::{Camera, Scene, load};
+use crate::scene::{Camera, Features, Scene, load};
 use crate::sequence::{FrameTime, render_frames};
 use crate::visibility::Visibility;
+use crate::{Error, Result};
 use std::path::PathBuf;
 use std::sync::LazyLock;
 
@@ -42,7 +42,9 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     let scene = pipeline::stage("load", 0, observer, &mut stages, || (load(&args.scene), 0))?;
     scene.warnings.iter().for_each(|w| progress.warn(w));
     let cameras = cameras(args, &scene)?;
-    options::idle_of_render(args, quality(args.quality, &scene)).iter().for_each(|w| progress.warn(w));
+    let glossy = Features::of(&scene).glossy;
+    let idle = options::idle_of_render(args, quality(args.quality, &scene), glossy);
+    idle.iter().for_each(|w| progress.warn(w));
     let left_out = left_out(args.method, &scene);
     left_out.iter().for_each(|w| progress.warn(w));
     check_outputs(scene.files.iter().chain(&args.solution), &files(args, &patterns, &cameras))?;
@@ -69,7 +71,9 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         kept: kept.as_ref(),
         progress: &progress,
     };
-    let first = ready.before_the_view(&mut stages, &mut warnings)?;
+    let first = ready
+        .before_the_view(&mut stages, &mut warnings)
+        .map_err(|e| of_element_size(&args.pass1.elements, &scene, e))?;
     let pictures = ready.pictures(&first, &patterns, &versions, &mut stages)?;
     if let Some(w) = pictures.dropped.and_then(cut_off) {
         progress.warn(&w);
@@ -431,6 +435,22 @@ pub fn pass1(args: &Pass1Args, scene: &Scene, seed: u32) -> Pass1 {
 /// Largest edge of an element \[m\]: the command line over the scene file.
 pub fn element_size(args: &ElementArgs, scene: &Scene) -> Option<f64> {
     args.element_size.map(|size| size * scene.unit).or(scene.radiosity.element_size)
+}
+
+/// An error about too many elements, which advises `--element-size`, where the scene file chose their size: names its key.
+pub fn of_element_size(args: &ElementArgs, scene: &Scene, error: Error) -> Error {
+    const ADVICE: &str = ": choose a larger --element-size";
+    let chosen = args.element_size.is_none() && scene.radiosity.element_size.is_some();
+    match &error {
+        Error::Usage(message) if chosen => match message.strip_suffix(ADVICE) {
+            Some(what) => {
+                let help = "choose a larger element_size there, or give --element-size";
+                Error::parse(&scene.path, None, format!("[radiosity] element_size: {what}: {help}"))
+            }
+            None => error,
+        },
+        _ => error,
+    }
 }
 
 /// The quality asked for: the command line over the scene file over the default.

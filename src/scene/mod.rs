@@ -7,9 +7,12 @@
 mod camera;
 mod coplanar;
 mod document;
+#[cfg(test)]
+mod documented;
 mod faces;
 mod features;
 mod frame;
+mod idle;
 mod load;
 mod material;
 mod mtl;
