@@ -8,7 +8,7 @@ help:
 	@echo "make render         render $(SCENE) to out/cornell.exr and out/cornell.png"
 	@echo "make test           run every test, documentation examples included"
 	@echo "make lint           check formatting, clippy and the documentation"
-	@echo "make bench          measure everything (an hour) and write out/bench/report.html"
+	@echo "make bench          measure everything (forty minutes) and write out/bench/report.html"
 	@echo "make tables         put the measured tables into the README"
 	@echo "make test-debian13  run the tests in a Debian 13 root (Embree 4, cargo 1.85); needs root"
 	@echo "make setup          install the Debian packages that are missing"

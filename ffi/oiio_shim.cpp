@@ -88,7 +88,10 @@ void twopass_bytes_free(TwopassBytes *bytes) { delete bytes; }
 TwopassReader *twopass_reader_open(const char *path, TwopassHeader *header, char *error, size_t error_size) {
     return guarded<TwopassReader *>(nullptr, error, error_size, [&]() -> TwopassReader * {
         auto reader = std::make_unique<TwopassReader>();
-        reader->input = OIIO::ImageInput::open(path);
+        /* Colours stay as the file has them: alpha is left out, and would have darkened them. */
+        OIIO::ImageSpec config;
+        config.attribute("oiio:UnassociatedAlpha", 1);
+        reader->input = OIIO::ImageInput::open(path, &config);
         if (!reader->input) fail(OIIO::geterror());
         const OIIO::ImageSpec &spec = reader->input->spec();
         if (spec.depth > 1 || spec.deep) fail("volumes and deep images cannot be used");

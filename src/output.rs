@@ -1,6 +1,7 @@
 //! Output files that either are whole or do not exist: written beside their name, then renamed.
 
 use crate::{Error, Result};
+use std::collections::HashSet;
 use std::fs::{self, File, OpenOptions, Permissions};
 use std::io::{self, BufWriter, Seek, Write};
 use std::os::unix::fs::{FileTypeExt, PermissionsExt};
@@ -24,9 +25,22 @@ enum Target {
 ///
 /// What changes meanwhile is found by [`write_whole`].
 pub fn check(path: &Path) -> Result<()> {
+    check_all([path])
+}
+
+/// [`check`] of many files, such as the frames of a sequence: what makes a file in a folder to try it does so once.
+pub fn check_all<'a>(paths: impl IntoIterator<Item = &'a Path>) -> Result<()> {
+    let mut tried = HashSet::new();
+    paths.into_iter().try_for_each(|path| check_in(path, &mut tried))
+}
+
+fn check_in(path: &Path, tried: &mut HashSet<PathBuf>) -> Result<()> {
     let refuse = |kind: io::ErrorKind, message: String| Err(Error::io(path, io::Error::new(kind, message)));
     let Target::File(file, old) = target(path)? else { return Ok(()) };
     let folder = folder(&file);
+    if !tried.insert(folder.into()) {
+        return Ok(());
+    }
     if !folder.is_dir() {
         let message = format!("the folder {} does not exist; make it first", folder.display());
         return refuse(io::ErrorKind::NotFound, message);

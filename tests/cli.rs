@@ -296,6 +296,53 @@ fn info_says_what_is_modelled_and_what_is_not() {
     assert_eq!(run.stderr, "");
 }
 
+#[test]
+fn info_tells_what_materials_are() {
+    let materials = "[materials.white]\ndiffuse = 0.5\ntwo_sided = false\n\
+                     [materials.lamp]\nemission = [3, 2, 1]\nemit_both_sides = true\n\
+                     [materials.pane]\nspecular_transmission = 1\nthin = true\nroughness = 0.25\nior = 1.4\n\
+                     [materials.clear]\nspecular_transmission = [1, 0.5, 0.25]\n";
+    let obj = format!(
+        "{ROOM}o pane\nusemtl pane\nv 0.2 0.1 0.1\nv 0.8 0.1 0.1\nv 0.8 0.7 0.1\nv 0.2 0.7 0.1\nf -4 -3 -2 -1\n\
+         usemtl clear\nv 0.2 0.1 0.2\nv 0.8 0.1 0.2\nv 0.8 0.7 0.2\nv 0.2 0.7 0.2\nf -4 -3 -2 -1\n"
+    );
+    let run = Files::new(&format!("{CAMERA}{materials}"), &obj).done(&["info", "scene.toml"]);
+    let text = String::from_utf8(run.stdout).unwrap();
+    for line in [
+        "white        diffuse (0.5000 0.5000 0.5000), one-sided",
+        "lamp         emits (3.0000 2.0000 1.0000) W m^-2 sr^-1 from both sides",
+        "pane         thin glass (1.0000 1.0000 1.0000) ior 1.4 roughness 0.2500",
+        "clear        glass (1.0000 0.5000 0.2500) ior 1.5",
+    ] {
+        assert!(text.lines().any(|l| l.trim() == line), "{line}: {text}");
+    }
+}
+
+/// Who set the size in the scene file has given no --element-size.
+#[test]
+fn too_many_elements_name_the_key_of_the_scene_file() {
+    let room = Files::new(&format!("{CAMERA}{MATERIALS}[radiosity]\nelement_size = 1e-9\n"), ROOM);
+    let key = ["scene.toml: [radiosity] element_size: ", "choose a larger element_size there"];
+    room.fails(&["render", "scene.toml", "-o", "a.exr"], 1, &key);
+    room.fails(&["render", "scene.toml", "-o", "a.exr", "--adaptive"], 1, &key);
+    room.fails(&["solve", "scene.toml", "-o", "a.npz"], 1, &key);
+    room.fails(&["form-factors", "scene.toml", "-o", "a.npz"], 1, &key);
+    room.fails(&["info", "scene.toml"], 1, &key);
+    let given = ["solve", "scene.toml", "-o", "a.npz", "--element-size", "1e-8"];
+    room.fails(&given, 2, &["choose a larger --element-size"]);
+    room.done(&[&["solve", "scene.toml", "-o", "a.npz"], &QUICK[..]].concat());
+}
+
+#[test]
+fn options_of_glossy_lobes_need_one() {
+    let render = ["render", "scene.toml", "-o", "a.exr", "--size", "2x2", "--spp", "1", "--lobe", "frustum"];
+    let plain = Files::room().done(&[&render[..], &QUICK].concat()).stderr;
+    assert!(plain.contains("--lobe has no effect: the scene has no glossy surface"), "{plain}");
+    let glossy = format!("{CAMERA}{MATERIALS}specular = 0.2\nroughness = 0.3\n");
+    let glossy = Files::new(&glossy, ROOM).done(&[&render[..], &QUICK].concat()).stderr;
+    assert!(!glossy.contains("no effect"), "{glossy}");
+}
+
 /// What a camera sees on its way counts, here the inside of a second, dark box.
 #[test]
 fn info_and_solve_have_the_same_elements() {

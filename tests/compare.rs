@@ -214,6 +214,97 @@ fn pixels_that_are_no_numbers_are_named() {
     near(&v["relative_rmse"], 0.0, 0.0);
 }
 
+/// The file is named, and no mask that was not given.
+#[test]
+fn images_without_a_number_are_named() {
+    let folder = Folder::new();
+    write_exr(&folder.path("nan.exr"), &uniform([f32::NAN; 3]));
+    write_exr(&folder.path("a.exr"), &uniform([1.0; 3]));
+    for args in [["nan.exr", "a.exr"], ["a.exr", "nan.exr"]] {
+        let (code, out, err) = folder.compare(&args);
+        assert_eq!((code, out.as_str()), (1, ""));
+        assert!(err.contains("nan.exr: no pixel of it is finite") && !err.contains("mask"), "{err}");
+    }
+}
+
+/// 24 x 16 pixels of sRGB 188, 137, 99 and alpha 64, by another writer: OpenImageIO's divides by alpha.
+const RGBA: &[u8] =
+    b"\x89PNG\x0d\x0a\x1a\x0a\x00\x00\x00\x0dIHDR\x00\x00\x00\x18\x00\x00\x00\x10\x08\x06\x00\x00\x00\x0c$\
+    \xbf\x95\x00\x00\x00\x1eIDATx\xdac\xd8\xd3\x99\xec@K\xcc0j\xc1\xa8\x05\xa3\x16\x8cZ0j\xc1P\xb0\x00\
+    \x00\x9b\xa4\xdc\x1f\xdd\x92\xd2\xa1\x00\x00\x00\x00IEND\xaeB`\x82";
+
+/// Colours are compared as the file holds them, whatever its alpha says.
+#[test]
+fn alpha_changes_no_colour() {
+    let folder = Folder::new();
+    write(&uniform([0.5, 0.25, 0.125]), &folder.path("rgb.png"), &WriteOptions::default()).unwrap();
+    fs::write(folder.path("rgba.png"), RGBA).unwrap();
+    let pixel = |name: &str| read(&folder.path(name)).unwrap().get(5, 5);
+    assert_eq!(pixel("rgba.png"), pixel("rgb.png"));
+    near(&folder.json(&["rgba.png", "rgb.png"])["relative_rmse"], 0.0, 0.0);
+}
+
+/// One grey channel stands for three, as in other formats; other channels are named.
+#[test]
+fn exr_files_of_other_channels() {
+    let folder = Folder::new();
+    write_exr(&folder.path("a.exr"), &uniform([0.5; 3]));
+    let file = |name: &str, channels: &[&str]| {
+        let list = channels.iter().map(|c| {
+            let samples = exr::prelude::FlatSamples::F32(vec![0.5; 24 * 16]);
+            exr::prelude::AnyChannel::new(*c, samples)
+        });
+        let channels = exr::prelude::AnyChannels::sort(list.collect());
+        exr::prelude::Image::from_channels((24, 16), channels).write().to_file(folder.path(name)).unwrap();
+    };
+    file("grey.exr", &["Y"]);
+    file("grey_alpha.exr", &["Y", "A"]);
+    for name in ["grey.exr", "grey_alpha.exr"] {
+        near(&folder.json(&[name, "a.exr"])["relative_rmse"], 0.0, 0.0);
+    }
+    file("layers.exr", &["diffuse.R", "diffuse.G", "diffuse.B", "Z"]);
+    file("chroma.exr", &["Y", "RY", "BY"]);
+    for (name, found) in [("layers.exr", "Z, diffuse.B, diffuse.G, diffuse.R"), ("chroma.exr", "BY, RY, Y")] {
+        let (code, _, err) = folder.compare(&[name, "a.exr"]);
+        assert_eq!(code, 1);
+        for part in [name, found, "R, G and B", "a file of their own"] {
+            assert!(err.contains(part), "{err}");
+        }
+    }
+}
+
+/// Twice the same noise is no second half.
+#[test]
+fn one_reference_is_not_two() {
+    let folder = Folder::new();
+    write_exr(&folder.path("x.exr"), &uniform([1.1; 3]));
+    write_exr(&folder.path("a.exr"), &uniform([1.0; 3]));
+    fs::copy(folder.path("a.exr"), folder.path("copy.exr")).unwrap();
+    for second in ["a.exr", "./a.exr"] {
+        let (code, _, err) = folder.compare(&["x.exr", "a.exr", second]);
+        assert!(code == 2 && err.contains("given as both references"), "{err}");
+    }
+    let (code, out, _) = folder.compare(&["x.exr", "a.exr", "copy.exr"]);
+    assert!(code == 0 && out.contains("the references are equal"), "{out}");
+    assert!(!out.contains("free of the references' noise"), "{out}");
+}
+
+#[test]
+fn masks_that_are_cut_off() {
+    let folder = Folder::new();
+    write_exr(&folder.path("a.exr"), &uniform([1.0; 3]));
+    let mut npy =
+        b"\x93NUMPY\x01\x00\x76\x00{'descr': '|b1', 'fortran_order': False, 'shape': (16, 24), }".to_vec();
+    npy.resize(127, b' ');
+    npy.push(b'\n');
+    npy.extend([1; 100]);
+    for length in [npy.len(), 40] {
+        fs::write(folder.path("m.npy"), &npy[..length]).unwrap();
+        let (code, _, err) = folder.compare(&["a.exr", "a.exr", "--mask", "m.npy"]);
+        assert!(code == 1 && err.contains("m.npy: ends too early: it is shorter"), "{err}");
+    }
+}
+
 /// Too bright on the left, right in the middle, too dark on the right, at a given and at the found scale.
 #[test]
 fn the_picture_shows_signs() {

@@ -237,7 +237,7 @@ fn frames_do_not_depend_on_the_range() {
     assert_eq!(files.pixels("still.exr"), files.pixels("a.001.exr"));
 
     // One frame cannot be written: those before it stay, and nothing else is left behind.
-    fs::create_dir(files.path("d.3.exr")).unwrap();
+    std::os::unix::fs::symlink("/dev/full", files.path("d.3.exr")).unwrap();
     files.fails(
         &[&render, &PASS2, &["--solution", "s.npz", "--frames", "1..8", "-o", "d.%d.exr"]],
         1,
@@ -342,5 +342,31 @@ fn frames_that_cannot_be_rendered() {
     camera(
         "[[camera.keyframe]]\nframe = 1\n[[camera.keyframe]]\nframe = 3\norigin = [0.5, 0.4, -0.95]",
         &["in frame 2", "same point"],
+    );
+}
+
+/// What the names of later frames meet is found before anything is rendered.
+#[test]
+fn names_of_all_frames_are_checked() {
+    let files = Files::diffuse();
+    files.scene(&format!("{}{LAMP}", CAMERA.replace("frame = 8", "frame = 100000")));
+    fs::create_dir_all(files.path("L/x_12.exr")).unwrap();
+    let fails = |frames: &str, outputs: &[&str], code: i32, parts: &[&str]| {
+        files.fails(&[&["render", "scene.toml", "--frames", frames], outputs, &QUICK], code, parts);
+        let names: Vec<_> = fs::read_dir(files.0.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+        assert_eq!(names.len(), 3, "{names:?}");
+    };
+    let twice = "is an output given twice";
+    fails("9..11", &["-o", "o_%d.exr", "--report", "o_10.exr"], 2, &["o_10.exr", twice]);
+    fails("1..12", &["-o", "c_%d.exr", "-o", "c_1%d.exr"], 2, &["c_11.exr", twice]);
+    fails("1..12", &["-o", "L/x_%d.exr"], 1, &["L/x_12.exr", "is a folder"]);
+    fails("1..100000", &["-o", "o_%d.exr", "--report", "o_99999.exr"], 2, &["o_99999.exr", twice]);
+    files.scene(&format!("{CAMERA}{LAMP}"));
+    // Another spelling of the same folder.
+    fails(
+        "1..3",
+        &["-o", "o_%d.exr", "-o", "L/../o_##.exr", "--report", "o_02.exr"],
+        2,
+        &["o_02.exr", twice],
     );
 }

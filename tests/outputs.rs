@@ -45,6 +45,26 @@ fn outputs_that_cannot_be_written_are_found_before_the_work() {
     );
 }
 
+/// libjpeg would end the process when all is rendered.
+#[test]
+fn pictures_too_large_for_their_format() {
+    let room = Files::room();
+    let render = |size: &str| {
+        let args = ["render", "scene.toml", "-o", "a.exr", "-o", "b.JPG", "--size", size, "--spp", "1"];
+        room.fails(&args, 2, &["b.JPG", "at most 65500 pixels", size.replace('x', " x ").as_str(), ".png"]);
+    };
+    render("65501x1");
+    render("1x65536");
+    let image = twopass::image::Image::new(65_501, 1);
+    let options = twopass::image::WriteOptions::default();
+    let write = |name: &str| twopass::image::write(&image, &room.path(name), &options);
+    assert!(write("c.jpeg").unwrap_err().to_string().contains("c.jpeg: JPEG holds at most 65500"));
+    for name in ["c.exr", "c.png", "c.tif", "c.hdr"] {
+        write(name).unwrap();
+        assert_eq!(twopass::image::read(&room.path(name)).unwrap(), image, "{name}");
+    }
+}
+
 #[test]
 #[cfg(unix)]
 fn what_is_read_is_not_replaced() {

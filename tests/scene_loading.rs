@@ -205,6 +205,37 @@ fn damaged_bytes_are_an_error_and_never_a_panic() {
     }
 }
 
+/// What led to it would be lost with the scene: it is told in the error.
+#[test]
+fn files_without_faces_say_what_they_are() {
+    let ply = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nend_header\n0 0 0\n1 0 0\n2 0 0\n";
+    let cases: &[(&str, &[&str])] = &[
+        ("", &["s.obj: no faces: ", "(f 1 2 3)"]),
+        (
+            "v 0 0 0\nv 1 0 0\nl 1 2\n",
+            &["no faces: points and lines", "1 point and line elements were skipped"],
+        ),
+        (
+            "v 0 0 0\nv 1 0 0\nv 0 1 0\nF 1 2 3\n",
+            &["no faces: keywords are in lower case", "s.obj:4: statement \"F\"", "did you mean \"f\"?"],
+        ),
+        (ply, &["no faces: this is a PLY file", "statement \"ply\"", "and 3 more warnings"]),
+        ("newmtl a\nKd 1 1 1\n", &["no faces: this is a library of materials", "mtllib"]),
+        ("solid a\nendsolid a\n", &["no faces: this is an STL file"]),
+        ("v 0 0 0\n", &["no faces: there are vertices alone"]),
+        (
+            "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n",
+            &["no faces: none of them has an area", "1 face of zero area dropped"],
+        ),
+    ];
+    for (text, parts) in cases {
+        assert_error(load_obj(text), parts);
+    }
+    let toml = "geometry = [\"a.obj\", \"s.obj\"]\n";
+    let scene = load_files(&[("s.toml", toml), ("a.obj", "v 0 0 0\nl 1 1\n"), ("s.obj", SQUARE)]).unwrap();
+    assert_warning(&scene, &["a.obj: no faces: points and lines"]);
+}
+
 #[test]
 fn obj_reads_what_real_files_hold() {
     let text = "\u{feff}# comment\r\n\to first\r\nv 0 0 0 # origin\r\nv\t1 0\t0\r\nv 1 1 0#corner\r\nv 0 1 0 1 0 0\r\n\
@@ -406,6 +437,41 @@ fn unknown_keys_are_warned_about_everywhere() {
     ] {
         assert_warning(&scene, &[&format!("s.toml:{line}:"), &format!("\"{key}\""), hint]);
     }
+}
+
+#[test]
+fn keys_of_materials_without_effect_are_named() {
+    let obj = format!(
+        "mtllib s.mtl\nusemtl plain\n{SQUARE}v 0 0 1\nusemtl glass\nf 1 2 5\nusemtl sheet\nf 2 3 5\n"
+    );
+    let mtl = "newmtl plain\nKd 0.5\nillum 1\nnewmtl glass\nillum 7\nnewmtl sheet\nd 0.5\nKd 0.2\n";
+    let toml = |materials: &str| format!("geometry = [\"s.obj\"]\n{materials}");
+    let load = |materials: &str| {
+        let toml = toml(materials);
+        load_files(&[("s.toml", &toml), ("s.obj", &obj), ("s.mtl", mtl)]).unwrap()
+    };
+    let idle = load(
+        "[materials.plain]\nthin = true\nroughness = 0.3\nior = 1.5\nemit_both_sides = true\n\
+         [materials.sheet]\nthin = true\nroughness = 0.1\n",
+    );
+    for (line, name, key, why) in [
+        (3, "plain", "thin", "no specular_transmission"),
+        (4, "plain", "roughness", "nothing to be rough"),
+        (5, "plain", "ior", "no specular_transmission"),
+        (6, "plain", "emit_both_sides", "no emission"),
+        (8, "sheet", "thin", "ior = 1"),
+        (9, "sheet", "roughness", "ior = 1"),
+    ] {
+        let place = format!("s.toml:{line}: material \"{name}\": {key} has no effect");
+        assert_warning(&idle, &[&place, why]);
+    }
+    assert_eq!(idle.warnings.len(), 6, "{:?}", idle.warnings);
+    let used = load(
+        "[materials.plain]\nspecular = 0.2\nroughness = 0.3\nemission = 1\nemit_both_sides = true\n\
+         [materials.glass]\nthin = true\nroughness = 0.1\nior = 1.3\n\
+         [materials.sheet]\nthin = false\nroughness = 0\nior = 1.4\n",
+    );
+    assert_eq!(used.warnings, [""; 0]);
 }
 
 #[test]

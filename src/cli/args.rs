@@ -70,8 +70,8 @@ pub struct AdaptiveArgs {
 #[derive(Debug, ClapArgs)]
 pub struct MemoryArgs {
     /// Memory that pass 1 may take, such as 500M or 6G [default: three quarters of what is free]. Where the matrix of form
-    /// factors does not fit, rays are cast again for each multiplication: slower, with the same result, but without making the
-    /// exchange of nearly white scenes reciprocal.
+    /// factors does not fit, rays are cast again for each multiplication: slower, with the same radiosity as far as it is solved and
+    /// standard errors within a few per cent, but without making the exchange of nearly white scenes reciprocal.
     #[arg(long, value_name = "SIZE", value_parser = crate::memory::parse_size, allow_negative_numbers = true)]
     pub max_memory: Option<u64>,
 }

@@ -6,7 +6,7 @@ use crate::image::{
     self, Difference, Errors, Image, Options, error_within, mean_image, read_any, read_mask_npy,
     signed_difference,
 };
-use crate::output::write_whole;
+use crate::output::{place, write_whole};
 use crate::{Error, Result};
 use serde_json::json;
 use std::path::Path;
@@ -29,10 +29,21 @@ pub fn run(args: &CompareArgs) -> Result<()> {
             [Some(&args.image), Some(&args.reference), args.reference_b.as_ref(), args.mask.as_ref()];
         check_outputs(inputs.into_iter().flatten(), [diff])?;
     }
+    if let Some(b) = args.reference_b.as_ref().filter(|b| place(b) == place(&args.reference)) {
+        return Err(Error::Usage(format!(
+            "{}: is given as both references, whose noise must be independent; leave out the second",
+            b.display()
+        )));
+    }
     let x = read_any(&args.image)?;
     let a = read_any(&args.reference)?;
     let b = args.reference_b.as_deref().map(read_any).transpose()?;
     let mask = args.mask.as_deref().map(|path| read_mask(path, &x)).transpose()?;
+    let b_path = args.reference_b.as_ref();
+    for (path, image) in [(&args.image, &x), (&args.reference, &a)].into_iter().chain(b_path.zip(b.as_ref()))
+    {
+        refuse_without_numbers(path, image, mask.as_deref())?;
+    }
     let options = Options { mask: mask.as_deref(), exposure: args.exposure };
     let difference = Difference::new(&x, &a, b.as_ref(), &options)?;
     let scale =
@@ -55,7 +66,25 @@ pub fn run(args: &CompareArgs) -> Result<()> {
         }
         return print(&value.to_string());
     }
-    print(&text(args, &x, &difference, scale))
+    // A copy of the first reference has its noise too.
+    let independent = b.as_ref().map(|b| *b != a);
+    print(&text(args, &x, &difference, independent, scale))
+}
+
+/// Refuses an image none of whose pixels that count is finite: what is wrong is the file, not the comparison.
+fn refuse_without_numbers(path: &Path, image: &Image, mask: Option<&[bool]>) -> Result<()> {
+    let mut pixels =
+        (0..).zip(image.data.chunks_exact(3)).filter(|(i, _)| mask.is_none_or(|m| m.get(*i) == Some(&true)));
+    let mut some = false;
+    let finite = pixels.any(|(_, p)| {
+        some = true;
+        p.iter().all(|v| v.is_finite())
+    });
+    if finite || !some {
+        return Ok(());
+    }
+    let message = "no pixel of it is finite (NaN or infinite throughout): there is nothing to compare";
+    Err(Error::Image { path: path.into(), message: message.into() })
 }
 
 fn read_mask(path: &Path, x: &Image) -> Result<Vec<bool>> {
@@ -97,7 +126,14 @@ fn picture(
     Ok(scale)
 }
 
-fn text(args: &CompareArgs, x: &Image, d: &Difference, scale: Option<f64>) -> String {
+/// `independent`: whether the two references, where there are two, differ.
+fn text(
+    args: &CompareArgs,
+    x: &Image,
+    d: &Difference,
+    independent: Option<bool>,
+    scale: Option<f64>,
+) -> String {
     let all = &d.all;
     let mut lines =
         vec![format!("{} x {} pixels, {} count, {} masked", x.width, x.height, d.pixels, d.masked)];
@@ -107,8 +143,9 @@ fn text(args: &CompareArgs, x: &Image, d: &Difference, scale: Option<f64>) -> St
             bad.pixels, bad.image, bad.first[0], bad.first[1]
         ));
     }
-    let noise = match args.reference_b {
-        Some(_) => "free of the references' noise",
+    let noise = match independent {
+        Some(true) => "free of the references' noise",
+        Some(false) => "the references are equal: their noise, if any, counts as error",
         None => "the reference's noise counts as error; give a second one to be free of it",
     };
     lines.push(format!(

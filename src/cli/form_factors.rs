@@ -2,7 +2,7 @@
 
 use super::args::{EnforceArg, FactorMethodArg, FormFactorArgs, MirrorArg, ViewArg};
 use super::progress::Progress;
-use super::render::pass1;
+use super::render::{of_element_size, pass1};
 use super::{check_outputs, options, spare_inputs};
 use crate::embree::Device;
 use crate::form_factor::export::{self, View};
@@ -68,7 +68,8 @@ pub fn run(args: &FormFactorArgs) -> Result<()> {
         Some(size) => size,
         None => default_size(args, &scene, &sides, settings.rays)?,
     };
-    let mesh = Mesh::new(&scene, &sides, size, true)?;
+    let mesh = Mesh::new(&scene, &sides, size, true)
+        .map_err(|e| of_element_size(&args.pass1.elements, &scene, e))?;
     let rows = selected(args, &scene, &mesh)?;
     let viewed = args.view.as_deref().map(|v| viewed(v, &scene, &mesh)).transpose()?;
     let dense = outputs.iter().any(|o| o.1 == Format::View3d) && !args.by_object;

@@ -1,7 +1,7 @@
 //! `twopass info`.
 
 use super::args::InfoArgs;
-use super::render::element_size;
+use super::render::{element_size, of_element_size};
 use super::{length, print, say};
 use crate::Result;
 use crate::embree::Device;
@@ -19,7 +19,8 @@ pub fn run(args: &InfoArgs) -> Result<()> {
     let visibility = Visibility::new(&device, &scene)?;
     let reached = pipeline::reached(&visibility, &scene.view_points(), args.common.seed, &|_| {});
     let size = element_size(&args.elements, &scene).unwrap_or_else(|| default_element_size(&scene));
-    let mesh = Mesh::new(&scene, &reached, size, false)?;
+    let mesh =
+        Mesh::new(&scene, &reached, size, false).map_err(|e| of_element_size(&args.elements, &scene, e))?;
     let mut lines = describe_scene(&scene);
     let sides = 2 * scene.faces.len();
     lines.push(format!("  sides         {} of {sides} can be reached by light or a camera", reached.count()));
@@ -68,10 +69,21 @@ fn describe(m: &crate::scene::Material) -> String {
         parts.push(format!("specular {} roughness {:.4}", rgb(m.specular), m.roughness));
     }
     if m.is_glass() {
-        parts.push(format!("glass {} ior {}", rgb(m.specular_transmission), m.ior));
+        let kind = if m.thin { "thin glass" } else { "glass" };
+        // Of silvered glass the roughness is told with the silver's.
+        let rough = m.specular == crate::color::Rgb::ZERO && m.is_glossy();
+        let rough = if rough { format!(" roughness {:.4}", m.roughness) } else { String::new() };
+        parts.push(format!("{kind} {} ior {}{rough}", rgb(m.specular_transmission), m.ior));
     }
     if m.is_emitter() {
-        parts.push(format!("emits {} W m^-2 sr^-1", rgb(m.emission)));
+        let sides = if m.emit_both_sides { " from both sides" } else { "" };
+        parts.push(format!("emits {} W m^-2 sr^-1{sides}", rgb(m.emission)));
     }
-    if parts.is_empty() { "black".into() } else { parts.join(", ") }
+    if parts.is_empty() {
+        parts.push("black".into());
+    }
+    if !m.two_sided {
+        parts.push("one-sided".into());
+    }
+    parts.join(", ")
 }

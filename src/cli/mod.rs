@@ -85,9 +85,9 @@ fn check_outputs<'a>(
     inputs: impl IntoIterator<Item = &'a PathBuf>,
     outputs: impl IntoIterator<Item = &'a PathBuf> + Clone,
 ) -> Result<()> {
+    output::check_all(outputs.clone().into_iter().map(PathBuf::as_path))?;
     let mut taken = HashSet::new();
     for path in outputs.clone() {
-        output::check(path)?;
         if !taken.insert(output::place(path)) {
             let message = "is an output given twice; choose another name";
             return Err(Error::Usage(format!("{}: {message}", path.display())));

@@ -32,8 +32,9 @@ pub fn of_render(args: &RenderArgs) -> Result<()> {
     Ok(())
 }
 
-/// Options of `render` that have no effect with the others or at this quality, which the scene file may say: a warning for each.
-pub fn idle_of_render(args: &RenderArgs, quality: Quality) -> Vec<String> {
+/// Options of `render` that have no effect with the others, at this quality, which the scene file may say, or in a scene that has no
+/// `glossy` surface: a warning for each.
+pub fn idle_of_render(args: &RenderArgs, quality: Quality, glossy: bool) -> Vec<String> {
     use MethodArg::{Directional, Radiosity, TwoPass, Whitted};
     // What has elements, what solves for light within memory, and what samples emitters and lobes anew at each surface.
     let (divide, solve, shade) =
@@ -63,6 +64,19 @@ pub fn idle_of_render(args: &RenderArgs, quality: Quality) -> Vec<String> {
     let mut idle: Vec<String> = idle.map(other_method).collect();
     let shades = shade.contains(&args.method);
     let frustum = args.lobe == Some(EstimatorArg::Frustum);
+    if shades && !glossy {
+        let lobes = [
+            ("--lobe", args.lobe.is_some()),
+            ("--lobe-rays", args.lobe_rays.is_some()),
+            ("--frustum-grid", args.frustum_grid.is_some()),
+        ];
+        let names: Vec<_> = lobes.iter().filter(|l| l.1).map(|l| l.0).collect();
+        if let [first, others @ ..] = &names[..] {
+            let names = others.iter().fold(first.to_string(), |all, name| format!("{all}, {name}"));
+            let verb = if others.is_empty() { "has" } else { "have" };
+            idle.push(format!("{names} {verb} no effect: the scene has no glossy surface"));
+        }
+    }
     if shades && frustum && args.lobe_rays.is_some() {
         idle.push("--lobe-rays has no effect with --lobe frustum: that has --frustum-grid".into());
     }
@@ -176,13 +190,28 @@ mod tests {
     use super::*;
     use clap::Parser;
 
-    fn idle(options: &str) -> Vec<String> {
+    fn parsed(options: &str) -> RenderArgs {
         let words = "twopass render s.toml -o a.exr".split(' ').chain(options.split_whitespace());
-        let Command::Render(args) = Args::try_parse_from(words).expect(options).command else {
-            unreachable!("render was asked for");
-        };
+        match Args::try_parse_from(words).expect(options).command {
+            Command::Render(args) => args,
+            _ => unreachable!("render was asked for"),
+        }
+    }
+
+    #[test]
+    fn lobes_need_a_glossy_surface() {
+        let said = |options: &str| idle_of_render(&parsed(options), Quality::Mesh, false);
+        assert_eq!(said("--lobe frustum"), ["--lobe has no effect: the scene has no glossy surface"]);
+        assert_eq!(said("--lobe-rays 9"), ["--lobe-rays has no effect: the scene has no glossy surface"]);
+        let both = "--lobe, --frustum-grid have no effect: the scene has no glossy surface";
+        assert_eq!(said("--lobe frustum --frustum-grid 9"), [both]);
+        assert_eq!(said(""), [""; 0]);
+    }
+
+    fn idle(options: &str) -> Vec<String> {
+        let args = parsed(options);
         of_render(&args).expect(options);
-        idle_of_render(&args, Quality::Mesh)
+        idle_of_render(&args, Quality::Mesh, true)
     }
 
     #[test]

@@ -3,8 +3,7 @@
 use super::args::{AdaptiveArgs, ElementArgs, EstimatorArg, MethodArg, Pass1Args, QualityArg, RenderArgs};
 use super::frames::{Pattern, check_range, refuse_pattern};
 use super::progress::Progress;
-use super::{check_outputs, length, options, spare_inputs};
-use crate::Result;
+use super::{check_outputs, length, options};
 use crate::accuracy::{Achieved, View, render_to_error};
 use crate::adaptive::{self, Adapted};
 use crate::color::Rgb;
@@ -18,9 +17,10 @@ use crate::render::{
     Estimator, GATHER_RAYS, Method, Quality, Renderer, Settings, cut_off, render_directional,
 };
 use crate::report::{KeptReport, Pass1Report, Report, Versions, command_line};
-use crate::scene::{Camera, Scene, load};
+use crate::scene::{Camera, Features, Scene, load};
 use crate::sequence::{FrameTime, render_frames};
 use crate::visibility::Visibility;
+use crate::{Error, Result};
 use std::path::PathBuf;
 use std::sync::LazyLock;
 
@@ -42,10 +42,13 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     let scene = pipeline::stage("load", 0, observer, &mut stages, || (load(&args.scene), 0))?;
     scene.warnings.iter().for_each(|w| progress.warn(w));
     let cameras = cameras(args, &scene)?;
-    options::idle_of_render(args, quality(args.quality, &scene)).iter().for_each(|w| progress.warn(w));
+    let glossy = Features::of(&scene).glossy;
+    let idle = options::idle_of_render(args, quality(args.quality, &scene), glossy);
+    idle.iter().for_each(|w| progress.warn(w));
     let left_out = left_out(args.method, &scene);
     left_out.iter().for_each(|w| progress.warn(w));
-    spare_inputs(scene.files.iter().chain(&args.solution), &files(args, &patterns, &cameras))?;
+    check_outputs(scene.files.iter().chain(&args.solution), &files(args, &patterns, &cameras))?;
+    cameras.iter().take(1).try_for_each(|c| fits(&args.output, c.1.size))?;
     let kept = args.solution.as_ref().map(|path| {
         pipeline::stage("solution", 0, observer, &mut stages, || (Solution::read_npz(&scene, path), 0))
     });
@@ -68,7 +71,9 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         kept: kept.as_ref(),
         progress: &progress,
     };
-    let first = ready.before_the_view(&mut stages, &mut warnings)?;
+    let first = ready
+        .before_the_view(&mut stages, &mut warnings)
+        .map_err(|e| of_element_size(&args.pass1.elements, &scene, e))?;
     let pictures = ready.pictures(&first, &patterns, &versions, &mut stages)?;
     if let Some(w) = pictures.dropped.and_then(cut_off) {
         progress.warn(&w);
@@ -292,7 +297,12 @@ impl<'s> Ready<'_, 's> {
     }
 }
 
-/// Checks what is to be written; the names of the frames, where a path is rendered.
+/// Refuses pictures of more pixels across or down than their formats can hold; those of a camera are of one size.
+fn fits(outputs: &[PathBuf], size: [u32; 2]) -> Result<()> {
+    outputs.iter().try_for_each(|o| image::fits(o, size.map(|n| n as usize)))
+}
+
+/// Checks what can be checked without the scene; the names of the frames, where a path is rendered.
 fn outputs(args: &RenderArgs) -> Result<Vec<Pattern>> {
     let inputs = [&args.scene].into_iter().chain(&args.solution);
     let Some(frames) = &args.frames else {
@@ -308,7 +318,7 @@ fn outputs(args: &RenderArgs) -> Result<Vec<Pattern>> {
     Ok(patterns)
 }
 
-/// All files that will be written.
+/// All files that will be written: those of every frame may meet each other or the report, or be folders.
 fn files(args: &RenderArgs, patterns: &[Pattern], cameras: &[(u32, Camera)]) -> Vec<PathBuf> {
     let pictures = patterns.iter().flat_map(|p| cameras.iter().map(|c| p.file(c.0)));
     let named = if args.frames.is_some() { &[][..] } else { &args.output };
@@ -425,6 +435,22 @@ pub fn pass1(args: &Pass1Args, scene: &Scene, seed: u32) -> Pass1 {
 /// Largest edge of an element \[m\]: the command line over the scene file.
 pub fn element_size(args: &ElementArgs, scene: &Scene) -> Option<f64> {
     args.element_size.map(|size| size * scene.unit).or(scene.radiosity.element_size)
+}
+
+/// An error about too many elements, which advises `--element-size`, where the scene file chose their size: names its key.
+pub fn of_element_size(args: &ElementArgs, scene: &Scene, error: Error) -> Error {
+    const ADVICE: &str = ": choose a larger --element-size";
+    let chosen = args.element_size.is_none() && scene.radiosity.element_size.is_some();
+    match &error {
+        Error::Usage(message) if chosen => match message.strip_suffix(ADVICE) {
+            Some(what) => {
+                let help = "choose a larger element_size there, or give --element-size";
+                Error::parse(&scene.path, None, format!("[radiosity] element_size: {what}: {help}"))
+            }
+            None => error,
+        },
+        _ => error,
+    }
 }
 
 /// The quality asked for: the command line over the scene file over the default.

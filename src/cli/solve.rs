@@ -2,7 +2,7 @@
 
 use super::args::SolveArgs;
 use super::progress::Progress;
-use super::render::{pass1, pass1_of, quality, reads, tell_adapted, tell_factors};
+use super::render::{of_element_size, pass1, pass1_of, quality, reads, tell_adapted, tell_factors};
 use super::{check_outputs, spare_inputs};
 use crate::embree::Device;
 use crate::emitters::Emitters;
@@ -42,7 +42,8 @@ pub fn run(args: &SolveArgs) -> Result<()> {
     let limit = args.memory.limit();
     let cameras = scene.view_points();
     let what = (&visibility, &emitters, &cameras[..]);
-    let (result, adapted) = pass1_of(what, (&settings, reads), limit, observer, &mut stages)?;
+    let (result, adapted) = pass1_of(what, (&settings, reads), limit, observer, &mut stages)
+        .map_err(|e| of_element_size(&args.pass1.elements, &scene, e))?;
     tell_factors(&progress, &result);
     result.warnings.iter().for_each(|w| progress.warn(w));
     let versions = Versions::new(&device);

@@ -127,31 +127,81 @@ fn check(name: &str, image: &Image, first: &Image, mask: Option<&[bool]>) -> Res
     Ok(())
 }
 
-/// Reads the first RGB layer of an OpenEXR file, without OpenImageIO.
+/// Reads the first RGB layer of an OpenEXR file, or else the first grey one (Y), without OpenImageIO.
 pub fn read_exr(path: &Path) -> Result<Image> {
-    use exr::prelude::{ReadChannels, ReadLayers, read};
-    let file = File::open(path).map_err(|e| Error::io(path, e))?;
-    let image = read()
-        .no_deep_data()
-        .largest_resolution_level()
-        .rgb_channels(
-            |size, _| Image::new(size.width(), size.height()),
-            |image: &mut Image, at, (r, g, b): (f32, f32, f32)| image.set(at.x(), at.y(), [r, g, b]),
-        )
-        .first_valid_layer()
-        .all_attributes()
-        .from_buffered(BufReader::new(file))
-        .map_err(|e| match e {
-            exr::error::Error::Io(source) => Error::io(path, source),
-            other => Error::Image { path: path.into(), message: other.to_string() },
-        })?;
-    Ok(image.layer_data.channel_data.pixels)
+    use exr::prelude::{ReadChannels, ReadLayers, ReadSpecificChannel, read};
+    let open = || File::open(path).map(BufReader::new).map_err(|e| Error::io(path, e));
+    let failed = |e| match e {
+        exr::error::Error::Io(source) => Error::io(path, source),
+        other => Error::Image { path: path.into(), message: other.to_string() },
+    };
+    let layers = || read().no_deep_data().largest_resolution_level();
+    let new = |size: exr::math::Vec2<usize>| Image::new(size.width(), size.height());
+    let file = open()?;
+    match channels_of(path) {
+        // Whatever is wrong with the file is told by who reads it whole.
+        None | Some(Channels::Rgb) => {
+            let set = |image: &mut Image, at: exr::math::Vec2<usize>, (r, g, b): (f32, f32, f32)| {
+                image.set(at.x(), at.y(), [r, g, b]);
+            };
+            let layers = layers().rgb_channels(|size, _| new(size), set).first_valid_layer().all_attributes();
+            Ok(layers.from_buffered(file).map_err(failed)?.layer_data.channel_data.pixels)
+        }
+        Some(Channels::Grey) => {
+            let set = |image: &mut Image, at: exr::math::Vec2<usize>, (y,): (f32,)| {
+                image.set(at.x(), at.y(), [y; 3]);
+            };
+            let channels =
+                layers().specific_channels().required("Y").collect_pixels(|size, _| new(size), set);
+            let layers = channels.first_valid_layer().all_attributes();
+            Ok(layers.from_buffered(file).map_err(failed)?.layer_data.channel_data.pixels)
+        }
+        Some(Channels::Other(names)) => {
+            let message = format!(
+                "holds the channels {names}, but no layer of R, G and B, nor a grey one of Y alone: write those that are meant \
+                 to a file of their own, with these names"
+            );
+            Err(Error::Image { path: path.into(), message })
+        }
+    }
+}
+
+/// What of an OpenEXR file can be read.
+enum Channels {
+    Rgb,
+    Grey,
+    /// Neither, with the names of all.
+    Other(String),
+}
+
+/// What channels an OpenEXR file has; none where its header cannot be read.
+fn channels_of(path: &Path) -> Option<Channels> {
+    let meta = exr::meta::MetaData::read_from_file(path, false).ok()?;
+    let layers: Vec<Vec<String>> = meta
+        .headers
+        .iter()
+        .map(|header| header.channels.list.iter().map(|c| c.name.to_string()).collect())
+        .collect();
+    let has = |layer: &[String], wanted: &[&str]| wanted.iter().all(|w| layer.iter().any(|name| name == w));
+    if layers.iter().any(|layer| has(layer, &["R", "G", "B"])) {
+        return Some(Channels::Rgb);
+    }
+    // With RY and BY it is a colour image of another kind.
+    if layers.iter().any(|layer| has(layer, &["Y"])) && !layers.iter().any(|layer| has(layer, &["RY"])) {
+        return Some(Channels::Grey);
+    }
+    Some(Channels::Other(layers.concat().join(", ")))
 }
 
 /// Reads a mask of `width` x `height` pixels from a NumPy file of booleans, of shape
 /// (height, width).
 pub fn read_mask_npy(path: &Path, width: usize, height: usize) -> Result<Vec<bool>> {
-    let io = |e| Error::io(path, e);
+    let io = |e: std::io::Error| match e.kind() {
+        std::io::ErrorKind::UnexpectedEof => {
+            Error::parse(path, None, "ends too early: it is shorter than its header says")
+        }
+        _ => Error::io(path, e),
+    };
     let refuse = |message: String| Err(Error::parse(path, None, message));
     let npy = npyz::NpyFile::new(BufReader::new(File::open(path).map_err(io)?)).map_err(io)?;
     if npy.shape() != [height as u64, width as u64] {
@@ -284,7 +334,7 @@ mod tests {
         let floats = npy("<f4", "False", "(2, 3)", &[0; 24]);
         assert!(text(read_mask_npy(floats.path(), 3, 2)).contains("not booleans"));
         let short = npy("|b1", "False", "(2, 3)", &[1, 0]);
-        assert!(read_mask_npy(short.path(), 3, 2).is_err());
+        assert!(text(read_mask_npy(short.path(), 3, 2)).contains("shorter than its header says"));
         assert!(read_mask_npy(Path::new("none.npy"), 3, 2).is_err());
     }
 

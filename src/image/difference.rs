@@ -107,6 +107,12 @@ impl Difference {
             }
             bad.iter().for_each(|&i| counts[i] = false);
         }
+        if asked.contains(&true) && !counts.contains(&true) {
+            let names: Vec<_> = not_finite.iter().map(|n: &NotFinite| n.image).collect();
+            let message =
+                format!("no pixel is finite in the {}: nothing is left to compare", names.join(" and the "));
+            return Err(Error::Usage(message));
+        }
         let errors = |channels: &[usize]| -> Result<Errors> {
             let c = compare_channels([x, x], [a, b.unwrap_or(a)], Some(&counts), channels)?;
             Ok(Errors::new(&c, mean_absolute(x, a, b, &counts, channels)))
@@ -268,6 +274,17 @@ mod tests {
         ];
         assert_eq!(d.not_finite, expected);
         assert_eq!((d.pixels, d.masked, d.all.relative_rmse, d.flip), (1197, 1, 0.0, 0.0));
+    }
+
+    #[test]
+    fn where_no_pixel_is_left_the_cause_is_named() {
+        let (grey, none) = (uniform([0.5; 3]), uniform([f32::NAN; 3]));
+        let says = |x: &Image, a: &Image, mask: Option<&[bool]>| {
+            Difference::new(x, a, None, &Options { mask, exposure: 0.0 }).unwrap_err().to_string()
+        };
+        assert_eq!(says(&none, &grey, None), "no pixel is finite in the image: nothing is left to compare");
+        assert!(says(&none, &none, None).contains("in the image and the reference"));
+        assert!(says(&grey, &grey, Some(&[false; 1200])).contains("the mask leaves no pixel"));
     }
 
     /// FLIP of black against white is near 1, and a masked block of it changes nothing elsewhere.

@@ -13,7 +13,7 @@ pub use compare::{
 pub use difference::{Difference, Errors, Largest, NotFinite, Options, error_within, mean_image};
 pub use false_colour::{signed_colour, signed_difference};
 pub use oiio::{
-    WriteOptions, has_exposure, png, prepare, read, ready, srgb_bytes, supported, version, write,
+    WriteOptions, fits, has_exposure, png, prepare, read, ready, srgb_bytes, supported, version, write,
 };
 pub use pfm::read_pfm;
 

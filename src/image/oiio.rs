@@ -58,16 +58,39 @@ struct Format {
     /// sRGB after exposure in 8 bits; linear float otherwise.
     eight_bit: bool,
     compression: Option<&'static str>,
+    /// Most pixels across or down, where that is less than any image that is rendered.
+    most: Option<usize>,
 }
+
+/// Larger images make libjpeg end the process (its JPEG_MAX_DIMENSION, "a tad under 64K to prevent overflows").
+const MOST_JPEG: usize = 65_500;
 
 const FORMATS: [Format; 5] = [
     // The mantissas of rendered radiance are noise: "zip" saves 6 % more than "rle", for eight times its time (100 ms and
     // 12 ms for 512 x 512 pixels), and would keep many frames waiting.
-    Format { extensions: &["exr"], plugin: "openexr", eight_bit: false, compression: Some("rle") },
-    Format { extensions: &["tif", "tiff"], plugin: "tiff", eight_bit: false, compression: Some("zip") },
-    Format { extensions: &["hdr"], plugin: "hdr", eight_bit: false, compression: None },
-    Format { extensions: &["png"], plugin: "png", eight_bit: true, compression: None },
-    Format { extensions: &["jpg", "jpeg"], plugin: "jpeg", eight_bit: true, compression: Some("jpeg:95") },
+    Format {
+        extensions: &["exr"],
+        plugin: "openexr",
+        eight_bit: false,
+        compression: Some("rle"),
+        most: None,
+    },
+    Format {
+        extensions: &["tif", "tiff"],
+        plugin: "tiff",
+        eight_bit: false,
+        compression: Some("zip"),
+        most: None,
+    },
+    Format { extensions: &["hdr"], plugin: "hdr", eight_bit: false, compression: None, most: None },
+    Format { extensions: &["png"], plugin: "png", eight_bit: true, compression: None, most: None },
+    Format {
+        extensions: &["jpg", "jpeg"],
+        plugin: "jpeg",
+        eight_bit: true,
+        compression: Some("jpeg:95"),
+        most: Some(MOST_JPEG),
+    },
 ];
 
 /// The format that a file's extension names.
@@ -152,6 +175,23 @@ pub fn version() -> String {
 pub fn supported(path: &Path) -> Result<()> {
     format_of(path)?;
     output::check(path)
+}
+
+/// Whether the format of `path` can hold an image of so many pixels across and down: JPEG ends below 65536.
+///
+/// # Errors
+/// It cannot, or it is unknown; says what to do.
+pub fn fits(path: &Path, size: [usize; 2]) -> Result<()> {
+    within(path, format_of(path)?, size)
+}
+
+fn within(path: &Path, format: &Format, [width, height]: [usize; 2]) -> Result<()> {
+    let Some(most) = format.most.filter(|most| width.max(height) > *most) else { return Ok(()) };
+    Err(Error::Usage(format!(
+        "{}: {} holds at most {most} pixels across and down, not {width} x {height}; write another format, such as .png or .exr",
+        path.display(),
+        format.plugin.to_uppercase()
+    )))
 }
 
 /// Whether [`WriteOptions::exposure`] changes what is written at `path`: an 8-bit format.
@@ -269,6 +309,7 @@ fn encode_samples(
     format: &Format,
     metadata: &[(String, String)],
 ) -> Result<Bytes> {
+    within(path, format, [shape[0], shape[1]])?;
     let size = |n: usize| i32::try_from(n).ok().filter(|&n| n > 0);
     let [Some(width), Some(height), Some(channels)] = shape.map(size) else {
         return Err(image_error(path, format!("cannot hold {} x {} pixels", shape[0], shape[1])));

@@ -19,7 +19,7 @@ const FAR: f64 = 4.0;
 /// Radius about the scene's centre at which they start then, over that of the scene: outside of all faces as they are rounded.
 const AROUND: f64 = 1.001;
 
-const KEYS: [&str; 7] = ["name", "origin", "target", "up", "fov", "size", "keyframe"];
+pub(super) const KEYS: [&str; 7] = ["name", "origin", "target", "up", "fov", "size", "keyframe"];
 
 /// A pinhole camera as the scene file states it, validated.
 #[derive(Debug, Clone, PartialEq)]

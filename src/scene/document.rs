@@ -121,6 +121,11 @@ impl<'a> Entry<'a> {
         self.doc.error(self.line, prefixed(&self.label, format!("{} {message}", self.key)))
     }
 
+    /// Where the entry is, for messages: file and line.
+    pub fn place(&self) -> String {
+        format!("{}:{}", self.doc.path.display(), self.line)
+    }
+
     fn wrong_type(&self, expected: &str, found: &DeValue<'_>) -> Error {
         self.error(format!("must be {expected}, found {}", kind(found)))
     }

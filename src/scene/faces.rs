@@ -67,6 +67,17 @@ pub(super) fn build(
     builder.finish(files, materials)
 }
 
+/// An error's message, with the first of the warnings that may tell what led to it and would be lost with the scene.
+pub(super) fn with_warnings(message: &str, warnings: &[String]) -> String {
+    const MOST: usize = 5;
+    let mut lines = vec![message.to_string()];
+    lines.extend(warnings.iter().take(MOST).map(|w| format!("warning: {w}")));
+    if warnings.len() > MOST {
+        lines.push(format!("and {} more warnings", warnings.len() - MOST));
+    }
+    lines.join("\n")
+}
+
 /// What a face is made of.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct Made {
@@ -310,11 +321,10 @@ impl Builder {
         let warning = |(tally, (one, many)): &(&Tally, (&str, &str))| tally.warning(one, many);
         let mut warnings: Vec<_> = tallies.iter().filter_map(warning).collect();
         if self.faces.is_empty() {
-            let path = files.first().map(|f| f.path.clone()).unwrap_or_default();
-            return Err(match files.iter().all(|f| f.polygons.is_empty()) {
-                true => Error::parse(path, None, "no faces"),
-                false => Error::parse(path, None, "no faces: none of them has an area"),
-            });
+            let file = files.iter().find(|f| !f.polygons.is_empty());
+            let path = file.or(files.first()).map(|f| f.path.clone()).unwrap_or_default();
+            let why = "no faces: none of them has an area";
+            return Err(Error::parse(path, None, with_warnings(why, &warnings)));
         }
         let cut = coplanar::cut(&mut self.faces, &mut self.points, materials);
         for (objects, what) in [

@@ -39,7 +39,7 @@ impl Features {
             emitters: any(&|m| m.is_emitter()),
             environment: scene.environment.max_element() > 0.0,
             specular: any(&|m| m.is_specular()),
-            glossy: any(&|m| m.is_specular() && m.alpha() >= crate::bsdf::MIRROR_ALPHA),
+            glossy: any(&|m| m.is_glossy()),
             glass: any(&|m| m.is_glass()),
             coloured_specular: any(&|m| m.is_specular() && !m.has_grey_specular()),
             translucent: any(&|m| m.is_translucent()),

@@ -6,7 +6,7 @@ use super::faces::{self, Numbering};
 use super::material::Material;
 use super::obj::{self, ObjFile};
 use super::path::CameraPath;
-use super::{RadiosityDefaults, RenderDefaults, Scene, mtl};
+use super::{RadiosityDefaults, RenderDefaults, Scene, idle, mtl};
 use crate::color::Rgb;
 use crate::error::{Error, Result};
 use crate::sampling::MOST_SAMPLES;
@@ -16,8 +16,9 @@ use std::path::{Path, PathBuf};
 /// Name of the material of faces without `usemtl`.
 const DEFAULT_MATERIAL: &str = "default";
 
-const TOP_KEYS: [&str; 7] = ["geometry", "unit", "camera", "materials", "environment", "radiosity", "render"];
-const MATERIAL_KEYS: [&str; 10] = [
+pub(super) const TOP_KEYS: [&str; 7] =
+    ["geometry", "unit", "camera", "materials", "environment", "radiosity", "render"];
+pub(super) const MATERIAL_KEYS: [&str; 10] = [
     "diffuse",
     "diffuse_transmission",
     "specular",
@@ -29,7 +30,10 @@ const MATERIAL_KEYS: [&str; 10] = [
     "emit_both_sides",
     "two_sided",
 ];
-const QUALITIES: [&str; 3] = ["mesh", "direct", "gather"];
+pub(super) const ENVIRONMENT_KEYS: [&str; 1] = ["radiance"];
+pub(super) const RADIOSITY_KEYS: [&str; 3] = ["element_size", "rays", "adaptive"];
+pub(super) const RENDER_KEYS: [&str; 2] = ["spp", "quality"];
+pub(super) const QUALITIES: [&str; 3] = ["mesh", "direct", "gather"];
 
 /// Reads a scene from a `.toml` scene file, or from an `.obj` file (then there is no camera and the
 /// unit is the metre).
@@ -119,20 +123,20 @@ fn load_toml(doc: &Document<'_>) -> Result<Scene> {
 fn read_settings(top: &Section<'_>, plan: &mut Plan) -> Result<()> {
     let section = |name: &str| top.get(name).map(|e| e.section(name.to_string())).transpose();
     if let Some(environment) = section("environment")? {
-        environment.warn_unknown(&["radiance"], &mut plan.warnings);
+        environment.warn_unknown(&ENVIRONMENT_KEYS, &mut plan.warnings);
         if let Some(entry) = environment.get("radiance") {
             plan.environment = entry.color()?;
         }
     }
     if let Some(radiosity) = section("radiosity")? {
-        radiosity.warn_unknown(&["element_size", "rays", "adaptive"], &mut plan.warnings);
+        radiosity.warn_unknown(&RADIOSITY_KEYS, &mut plan.warnings);
         let size = radiosity.get("element_size").map(|e| e.positive()).transpose()?;
         plan.radiosity.element_size = size.map(|s| s * plan.unit);
         plan.radiosity.adaptive = radiosity.get("adaptive").map_or(Ok(false), |e| e.flag())?;
         plan.radiosity.rays = radiosity.get("rays").map(|e| e.count(MOST_SAMPLES)).transpose()?;
     }
     if let Some(render) = section("render")? {
-        render.warn_unknown(&["spp", "quality"], &mut plan.warnings);
+        render.warn_unknown(&RENDER_KEYS, &mut plan.warnings);
         plan.render.spp = render.get("spp").map(|e| e.count(MOST_SAMPLES)).transpose()?;
         if let Some(entry) = render.get("quality") {
             let quality = entry.text()?;
@@ -167,6 +171,8 @@ struct Override {
     name: String,
     /// Where, for messages: file and line.
     place: String,
+    /// Where each key is.
+    keys: Vec<(String, String)>,
     diffuse: Option<Rgb>,
     diffuse_transmission: Option<Rgb>,
     specular: Option<Rgb>,
@@ -191,6 +197,7 @@ impl Override {
         Ok(Override {
             name: name.to_string(),
             place: format!("{}:{}", section.doc.path.display(), section.line),
+            keys: section.entries().map(|e| (e.key.to_string(), e.place())).collect(),
             diffuse: color("diffuse")?,
             diffuse_transmission: color("diffuse_transmission")?,
             specular: color("specular")?,
@@ -202,6 +209,16 @@ impl Override {
             emit_both_sides: flag("emit_both_sides")?,
             two_sided: flag("two_sided")?,
         })
+    }
+
+    /// A warning for each key that does nothing for any of the `materials`, which have its name.
+    fn idle(&self, materials: &[&Material]) -> Vec<String> {
+        let idle = |(key, place): &(String, String)| {
+            let reasons: Option<Vec<_>> = materials.iter().map(|m| idle::of_key(key, m)).collect();
+            let reason = *reasons?.first()?;
+            Some(format!("{place}: material \"{}\": {key} has no effect: {reason}", self.name))
+        };
+        self.keys.iter().filter_map(idle).collect()
     }
 
     fn apply(&self, m: &mut Material) {
@@ -235,6 +252,13 @@ fn read_overrides(top: &Section<'_>, warnings: &mut Vec<String>) -> Result<Vec<O
 fn assemble(mut plan: Plan, mut files: Vec<ObjFile>, overrides: Vec<Override>) -> Result<Scene> {
     for file in &mut files {
         plan.warnings.append(&mut file.warnings);
+    }
+    if let (true, Some(file)) = (files.iter().all(|f| f.polygons.is_empty()), files.first()) {
+        let message = format!("no faces: {}", file.advice);
+        return Err(Error::parse(&file.path, None, faces::with_warnings(&message, &plan.warnings)));
+    }
+    for file in files.iter().filter(|f| f.polygons.is_empty()) {
+        plan.warnings.push(format!("{}: no faces: {}", file.path.display(), file.advice));
     }
     let mut read = vec![plan.path.clone()];
     read.extend(files.iter().map(|f| f.path.clone()));
@@ -348,6 +372,10 @@ fn number_materials(
             );
             numbers.no_material = resolve(DEFAULT_MATERIAL, missing);
         }
+    }
+    for over in overrides {
+        let of_name: Vec<_> = materials.iter().filter(|m| m.name == over.name).collect();
+        warnings.extend(over.idle(&of_name));
     }
     for over in overrides.iter().filter(|o| materials.iter().all(|m| m.name != o.name)) {
         let near = super::document::nearest(&over.name, materials.iter().map(|m| m.name.as_str()));

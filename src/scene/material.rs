@@ -107,6 +107,12 @@ impl Material {
         self.specular != Rgb::ZERO || self.is_glass()
     }
 
+    /// Reflects or refracts over a lobe that has a width.
+    pub fn is_glossy(&self) -> bool {
+        let spreads = self.specular != Rgb::ZERO || (self.is_glass() && self.ior != 1.0);
+        spreads && self.alpha() >= crate::bsdf::MIRROR_ALPHA
+    }
+
     /// Reflects or refracts in one direction only, as a mirror, clear glass or a thin window does.
     pub fn has_perfect_lobe(&self) -> bool {
         let smooth = self.alpha() < crate::bsdf::MIRROR_ALPHA;

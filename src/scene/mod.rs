@@ -7,10 +7,13 @@
 mod camera;
 mod coplanar;
 mod document;
+#[cfg(test)]
+mod documented;
 mod faces;
 mod features;
 mod footing;
 mod frame;
+mod idle;
 mod load;
 mod material;
 mod mtl;

@@ -4,6 +4,7 @@
 //! rest: left to itself it panics on a colour of fewer than three values.
 
 use super::document::nearest;
+use super::idle::{self, Stated};
 use super::material::{MOST_RADIANCE, Material};
 use super::obj_text::with_line_feeds;
 use crate::color::Rgb;
@@ -13,10 +14,10 @@ use std::path::Path;
 /// Index of refraction of glass whose MTL states none.
 const GLASS_IOR: f64 = 1.5;
 
-const COLORS: [&str; 5] = ["Ka", "Kd", "Ks", "Ke", "Tf"];
-const SCALARS: [&str; 6] = ["Ns", "Ni", "d", "Tr", "Pr", "illum"];
+pub(super) const COLORS: [&str; 5] = ["Ka", "Kd", "Ks", "Ke", "Tf"];
+pub(super) const SCALARS: [&str; 6] = ["Ns", "Ni", "d", "Tr", "Pr", "illum"];
 /// Parts of the physically based extension that the renderer does not model.
-const NOT_MODELLED: [&str; 6] = ["Pm", "Ps", "Pc", "Pcr", "aniso", "anisor"];
+pub(super) const NOT_MODELLED: [&str; 6] = ["Pm", "Ps", "Pc", "Pcr", "aniso", "anisor"];
 const TEXTURES: [&str; 5] = ["norm", "bump", "disp", "decal", "refl"];
 
 /// Reads an MTL file: its materials, not yet scaled to conserve energy, and what the user should
@@ -36,6 +37,7 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<(Vec<Material>, Vec<Strin
         line: 0,
         canonical: String::new(),
         names: Vec::new(),
+        stated: Vec::new(),
         said: Vec::new(),
         warnings: Vec::new(),
     };
@@ -46,6 +48,8 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<(Vec<Material>, Vec<Strin
     }
     let loaded = tobj::load_mtl_buf(&mut scan.canonical.as_bytes());
     let (materials, _) = loaded.map_err(|e| Error::parse(path, None, e.to_string()))?;
+    let stated: Vec<_> = scan.names.into_iter().zip(scan.stated).collect();
+    scan.warnings.extend(idle::of_mtl(path, &stated));
     Ok((materials.iter().map(convert).collect(), scan.warnings))
 }
 
@@ -55,6 +59,8 @@ struct Scan<'a> {
     /// What `tobj` gets to read.
     canonical: String,
     names: Vec<String>,
+    /// By material, the values that are read.
+    stated: Vec<Vec<Stated>>,
     /// Keys that were warned about.
     said: Vec<String>,
     warnings: Vec<String>,
@@ -93,9 +99,11 @@ impl Scan<'_> {
         }
         if COLORS.contains(&key) {
             let [r, g, b] = self.color(key, rest)?;
+            self.state(key, [r, g, b]);
             self.canonical.push_str(&format!("{key} {r:e} {g:e} {b:e}\n"));
         } else if SCALARS.contains(&key) {
             let value = self.scalar(key, rest)?;
+            self.state(key, [value.parse().unwrap_or_default(); 3]);
             self.canonical.push_str(&format!("{key} {value}\n"));
         } else if NOT_MODELLED.contains(&key) {
             if self.number(key, rest)? != 0.0 {
@@ -113,12 +121,18 @@ impl Scan<'_> {
         Ok(())
     }
 
+    fn state(&mut self, key: &str, value: [f64; 3]) {
+        let stated = Stated { line: self.line, key: key.into(), value };
+        self.stated.last_mut().into_iter().for_each(|s| s.push(stated.clone()));
+    }
+
     fn start(&mut self, name: &str) -> Result<()> {
         if name.is_empty() {
             return Err(Error::parse(self.path, Some(self.line), "newmtl without a name"));
         }
         let again = self.names.iter().any(|n| n == name);
         self.names.push(name.to_string());
+        self.stated.push(Vec::new());
         if again {
             self.warn("is defined again; the last definition counts");
         }
@@ -290,6 +304,43 @@ mod tests {
             assert!(warnings.iter().any(|w| w.starts_with(&place) && w.contains(key)), "{key}: {warnings:?}");
         }
         assert_eq!(warnings.len(), 6, "{warnings:?}");
+    }
+
+    /// What exporters write for every material is no news; what says that a surface is something that it is not is.
+    #[test]
+    fn statements_without_effect_are_told_once_a_file() {
+        let said = |text: &str| parse_all(&format!("newmtl m\nKs 0.5 0.5 0.5\n{text}\n")).1;
+        for usual in [
+            "Ns 10\nNi 1.5\nTf 1 1 1\nd 1\nTr 0\nillum 2",
+            "Ns 225\nNi 1.45\nTf 0 0 0\nillum 1",
+            "Ns 1000\nillum 3",
+            "Ns 20\nPr 0.2\nillum 3",
+            "Ns 20\nKs 0 0 0\nillum 5",
+            "Ns 200\nNi 2.5\nTf 0.1\nd 0\nillum 7",
+            "d 0.5\nTr 0.5",
+            "d 0.5\nTr 0\nNi 1",
+        ] {
+            assert_eq!(said(usual), [""; 0], "{usual}");
+        }
+        for (idle, line, parts) in [
+            ("Tf 0.9 0.9 1", 3, ["Tf", "illum 2"]),
+            ("Ni 1.33\nillum 2", 3, ["Ni", "illum 2"]),
+            ("illum 0\nNi 2", 4, ["Ni", "illum 0"]),
+            ("illum 7\nd 0.3", 4, ["d has no effect", "illum 7"]),
+            ("Tr 0.3\nillum 4", 3, ["Tr has no effect", "illum 4"]),
+            ("d 1\nTr 0.5", 4, ["Tr has no effect", "beside d"]),
+            ("Ns 20\nillum 5", 3, ["Ns", "perfect mirror"]),
+        ] {
+            let said = said(idle);
+            assert!(said.len() == 1 && parts.iter().all(|p| said[0].contains(p)), "{idle}: {said:?}");
+            assert!(said[0].starts_with(&format!("x.mtl:{line}: material \"m\": ")), "{said:?}");
+        }
+        let many: String = (0..9).map(|k| format!("newmtl {k}\nNi 1.3\n")).collect();
+        let (_, said) = parse_all(&many);
+        assert_eq!(said.len(), 1);
+        for part in ["x.mtl:2: material \"0\": Ni", "Ni of \"1\" (line 4)", "5 more"] {
+            assert!(said[0].contains(part), "{said:?}");
+        }
     }
 
     #[test]

@@ -40,6 +40,8 @@ pub(super) struct ObjFile {
     pub normals: Vec<DVec3>,
     /// The polygons, in the order of the file.
     pub polygons: Vec<Polygon>,
+    /// What to do where there is no polygon.
+    pub advice: &'static str,
     /// What the user should know.
     pub warnings: Vec<String>,
 }
@@ -73,6 +75,7 @@ fn collect(path: &Path, text: ObjText, models: Vec<tobj::Model>) -> Result<ObjFi
         objects: text.objects,
         materials: text.materials,
         libraries: text.libraries,
+        advice: text.advice,
         warnings: text.warnings,
         ..ObjFile::default()
     };

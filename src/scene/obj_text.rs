@@ -17,6 +17,9 @@ const UNNAMED: &str = "unnamed";
 /// Objects named in one warning.
 const NAMED: usize = 3;
 
+/// Statements that are read.
+const READ: [&str; 7] = ["v", "vn", "f", "o", "g", "usemtl", "mtllib"];
+
 /// Statements that neither place nor colour a polygon.
 const HARMLESS: [&str; 10] = ["s", "vt", "p", "l", "mg", "lod", "bevel", "c_interp", "d_interp", "usemap"];
 
@@ -34,6 +37,8 @@ pub(super) struct ObjText {
     pub libraries: Vec<(usize, String)>,
     /// The line of each face.
     pub face_lines: Vec<usize>,
+    /// What to do where there is no face.
+    pub advice: &'static str,
     /// What the user should know.
     pub warnings: Vec<String>,
 }
@@ -184,12 +189,40 @@ impl<'a> Scan<'a> {
             }
             other if !self.unknown.iter().any(|u| u == other) => {
                 self.unknown.push(other.to_string());
-                let message = format!("statement \"{other}\" is not supported and was ignored");
+                let lower = other.to_lowercase();
+                let hint = match lower != other && self.is_known(&lower) {
+                    true => format!("; did you mean \"{lower}\"?"),
+                    false => String::new(),
+                };
+                let message = format!("statement \"{other}\" is not supported and was ignored{hint}");
                 self.warn(self.line, message);
             }
             _ => {}
         }
         Ok(())
+    }
+
+    fn is_known(&self, keyword: &str) -> bool {
+        READ.contains(&keyword) || HARMLESS.contains(&keyword)
+    }
+
+    /// What to do about a file without faces, by what it holds instead.
+    fn advice(&self) -> &'static str {
+        let has = |keyword: &str| self.unknown.iter().any(|u| u == keyword);
+        match () {
+            () if has("ply") => "this is a PLY file: convert it to Wavefront OBJ",
+            () if has("solid") => "this is an STL file: convert it to Wavefront OBJ",
+            () if has("newmtl") => {
+                "this is a library of materials (MTL): name the OBJ file, whose mtllib names the library"
+            }
+            () if has("F") => "keywords are in lower case: write f for F",
+            () if self.elements > 0 => "points and lines have no area: export surfaces as faces (f 1 2 3)",
+            () if self.vertices > 0 => "there are vertices alone: export surfaces as faces (f 1 2 3)",
+            () if has("cstype") || has("surf") || has("curv") => {
+                "free-form surfaces are not read: export them as faces"
+            }
+            () => "a Wavefront OBJ file has vertices (v x y z) and faces of their numbers (f 1 2 3)",
+        }
     }
 
     fn vertex(&mut self, rest: &str) -> Result<()> {
@@ -378,6 +411,7 @@ impl<'a> Scan<'a> {
             let path = self.path.display();
             self.out.warnings.push(format!("{path}: {} point and line elements were skipped", self.elements));
         }
+        self.out.advice = self.advice();
         self.out.canonical.push_str(&self.faces);
         Ok(self.out)
     }

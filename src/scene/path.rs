@@ -20,7 +20,7 @@ pub const LAST_FRAME: u32 = 1_000_000;
 /// Views along a path that stand for it where pass 1 asks what a camera can see.
 const VIEW_POINTS: u32 = 8;
 
-const KEYS: [&str; 5] = ["frame", "origin", "target", "up", "fov"];
+pub(super) const KEYS: [&str; 5] = ["frame", "origin", "target", "up", "fov"];
 
 /// What a keyframe sets, or the velocity of all that by frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
