@@ -245,8 +245,9 @@ pub struct HemicubeArgs {
     /// N x N hemi-cubes over each element instead of one at its centre.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=64))]
     pub hemicube_grid: Option<u32>,
-    /// N independent random rotations of every hemi-cube about the normal, which make noise of aliasing; from 2 on they give
-    /// standard errors, of aliasing and (with a grid) of what its points miss [default: none].
+    /// N independent random rotations of every hemi-cube about the normal, which make noise of aliasing around it; from 2 on they give
+    /// standard errors, of that noise and (with a grid) of what its points miss. Factors of what lies near the horizon keep a bias, since
+    /// rotations do not change heights above it, and standard errors do not show that: --resolution lowers it [default: none].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
     pub rotate: Option<u32>,
     /// Measure the errors of aliasing, proximity and visibility from a point on a sample of rows, for --report.

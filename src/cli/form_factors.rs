@@ -167,7 +167,7 @@ fn default_size(args: &FormFactorArgs, scene: &Scene, sides: &Sides, rays: u32) 
     let size = match args.method {
         FactorMethodArg::Analytic if args.by_object => Some(f64::MAX),
         FactorMethodArg::Ray if args.by_object && !by_chains(args, scene) => {
-            size_for_pairs(scene, sides, rays)?
+            size_for_pairs(scene, sides, rays, args.error.is_some())?
         }
         FactorMethodArg::Analytic | FactorMethodArg::Ray | FactorMethodArg::Hemicube => None,
     };

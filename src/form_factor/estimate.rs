@@ -20,6 +20,10 @@ const FEW_RAYS: u32 = 128;
 const FEW_ELEMENTS: usize = 64;
 /// The same where these are summed by objects.
 const FEW_OF_OBJECTS: usize = 512;
+/// Relative error of integrals over cells among so few elements, where none is asked for: at least this, and
+const FEW_CELL_ERROR: f64 = 1e-3;
+/// this over the rays of an element for each of its pairs.
+const CELL_ERROR_OF_RAYS: f64 = 0.25;
 /// Relative error of unoccluded factors among many elements.
 const QUICK: f64 = 1e-5;
 /// Rays an element for each element of an emitter: with fewer, the pairs of emitters would take much longer than the rays. Without
@@ -61,21 +65,26 @@ fn most_by_pairs(rays: u32) -> usize {
 }
 
 /// An element size \[m\] for factors between objects, which do not depend on elements: the default one, or the next larger one that makes
-/// so few elements that every pair of them is looked at with `rays` rays an element. None where no size does.
+/// so few elements that every pair of them is looked at with `rays` rays an element. Where no size does, none; but if an error is
+/// `asked` for and the default size makes so few that pairs are looked at for its sake, the largest, since pairs take their time.
 ///
 /// # Errors
 /// The default size makes more elements than a mesh may have.
-pub fn size_for_pairs(scene: &Scene, sides: &Sides, rays: u32) -> Result<Option<f64>> {
+pub fn size_for_pairs(scene: &Scene, sides: &Sides, rays: u32, asked: bool) -> Result<Option<f64>> {
     let most = most_by_pairs(rays);
     let mut size = default_element_size(scene);
     let mut mesh = Mesh::new(scene, sides, size, true)?;
-    if scene.faces.len() > most || !has_few_surfaces(&mesh, scene) {
+    if !has_few_surfaces(&mesh, scene) {
         return Ok(None);
+    }
+    let otherwise = (asked && mesh.len() <= pairs::MOST_ELEMENTS).then_some(f64::MAX);
+    if scene.faces.len() > most {
+        return Ok(otherwise);
     }
     while mesh.len() > most {
         size *= 1.1;
         if size > 4.0 * scene.radius {
-            return Ok(None);
+            return Ok(otherwise);
         }
         mesh = Mesh::new(scene, sides, size, true)?;
     }
@@ -138,8 +147,13 @@ pub fn estimate_rows(
         } else {
             QUICK.max(0.01 * request.error.unwrap_or(0.0))
         },
-        // The insides of bodies are seen through openings, which few points find.
-        cells: (!few || mesh.has_backs()).then_some(asked.unwrap_or(pairs::CELL_ERROR)),
+        cells: Some(asked.unwrap_or(if few {
+            few_cell_error(mesh.len(), request.rays)
+        } else {
+            pairs::CELL_ERROR
+        })),
+        // Where an error is asked for, hemisphere rays are few.
+        rows: request.error.is_none().then_some(&rows),
         unoccluded: false,
         seed: request.seed,
         progress: &|_| (),
@@ -168,6 +182,11 @@ pub fn estimate_rows(
     }
 }
 
+/// Relative error of integrals over cells among few elements: smaller where the rays are many for their pairs.
+fn few_cell_error(elements: usize, rays: u32) -> f64 {
+    (CELL_ERROR_OF_RAYS * elements as f64 / f64::from(rays.max(1))).clamp(FEW_CELL_ERROR, pairs::CELL_ERROR)
+}
+
 /// The factors of emitters, pair by pair: a small lamp takes few of a hemisphere's rays, and all light depends on it.
 /// None where there are no emitters, or so many that they would take much longer than the rays.
 fn lamps(visibility: &Visibility, mesh: &Mesh, request: &Request, only: Option<&[bool]>) -> Option<FewPairs> {
@@ -189,6 +208,7 @@ fn lamps(visibility: &Visibility, mesh: &Mesh, request: &Request, only: Option<&
         floor: LAMP_FLOOR,
         tolerance: LAMP,
         cells: Some(pairs::CELL_ERROR),
+        rows: None,
         unoccluded: false,
         seed: request.seed,
         progress: &|_| (),
@@ -220,6 +240,7 @@ pub fn unoccluded(
         floor: 0.0,
         tolerance: analytic::EXACT,
         cells: None,
+        rows: None,
         unoccluded: true,
         seed,
         progress,

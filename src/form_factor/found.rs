@@ -104,8 +104,8 @@ impl Found {
             Estimates::Pairs(pairs, _) => {
                 let c = pairs.counts;
                 lines.push(format!(
-                    "pairs of elements: {} averted, {} free, {} hidden, {} by cells, {} by shadows, {} by rays",
-                    c.averted, c.free, c.hidden, c.cells, c.shadows, c.rays
+                    "pairs of elements: {} averted, {} free, {} hidden, {} by cells, {} by shadows, {} by rays, {} from hemisphere rays",
+                    c.averted, c.free, c.hidden, c.cells, c.shadows, c.rays, c.hemisphere
                 ));
             }
             Estimates::Rows(rows, lamps) => {

@@ -138,7 +138,7 @@ impl ObjectTable {
         for e in 0..mesh.len() {
             let a = sides.of_element[e] as usize;
             areas[a] += mesh.area(e as u32);
-            escaped[a] += mesh.area(e as u32) * pairs.rest(e, rows.and_then(|r| r.summary.get(e))).escaped.x;
+            escaped[a] += mesh.area(e as u32) * pairs.rest(e, rows).escaped.x;
         }
         escaped.iter_mut().zip(&areas).for_each(|(e, a)| *e /= a);
         let between = |a: usize| (0..n).map(move |b| pairs.between_objects(a, b));

@@ -10,8 +10,10 @@ use common::*;
 use glam::DVec3;
 use std::f64::consts::PI;
 use twopass::form_factor::analytic::{EXACT, Polygon, differential, exchange};
+use twopass::form_factor::pairs::{BATCHES, PairFactors, PairWork};
 use twopass::form_factor::{
-    AtSpecular, Casting, Estimates, Factors, ObjectTable, Request, cast, cast_rows, estimate, unoccluded,
+    AtSpecular, Casting, Estimates, Factors, ObjectTable, Request, cast, cast_rows, estimate, size_for_pairs,
+    unoccluded,
 };
 use twopass::mesh::{Mesh, Sides};
 use twopass::scene::Scene;
@@ -211,7 +213,7 @@ fn square(z: f64, up: bool) -> Vec<Point> {
     p
 }
 
-/// The 95 % interval (Student's t, 15 degrees of freedom: 2.131) of partly hidden pairs over 40 seeds: as many
+/// The 95 % interval (Student's t, 15 degrees of freedom: 2.131) of partly hidden pairs by points over 40 seeds: as many
 /// as 40 intervals hold 36 times or more but in 5 % of cases and 34 times or more but in 0.7 %; the three
 /// configurations together, 108 of 120 but in 1 %.
 #[test]
@@ -227,9 +229,26 @@ fn standard_errors_of_hidden_pairs_are_calibrated() {
             ("blocker", blockers),
         ]);
         let want = e["F12"].as_f64().expect("factor");
+        let device = device();
+        let visibility = Visibility::new(&device, &scene).expect("tree");
+        let mesh = Mesh::new(&scene, &Sides::fronts(&scene), 1e9, true).expect("mesh");
         let (mut squares, mut variance) = (0.0, 0.0);
         for seed in 0..40 {
-            let t = table(&scene, &request(1024, seed));
+            let work = PairWork {
+                points: 16,
+                batches: BATCHES,
+                error: None,
+                floor: 0.0,
+                tolerance: EXACT,
+                cells: None,
+                rows: None,
+                unoccluded: false,
+                seed,
+                progress: &|_| (),
+            };
+            let pairs = PairFactors::new(&visibility, &mesh, &work);
+            assert_eq!((pairs.counts.shadows, pairs.counts.cells), (1, 0));
+            let t = ObjectTable::of_pairs(&scene, &mesh, &pairs, None, 0.0);
             let (f, error) = (t.form_factors[0][1], t.standard_errors[0][1]);
             held += u32::from((f - want).abs() <= 2.131 * error);
             total += 1;
@@ -294,4 +313,23 @@ fn asked_errors_are_met() {
     };
     let warnings = found.warnings(&scene, Some(1e-9));
     assert!(warnings.len() == 1 && warnings[0].contains("not met"), "{warnings:?}");
+}
+
+/// Where an error is asked of factors between objects and pairs of elements are looked at for its sake, elements are as few as there can be,
+/// even if faces are more than are looked at otherwise.
+#[test]
+fn an_asked_error_takes_few_elements() {
+    let quads = |f: Vec<(&str, Vec<Point>)>| f.into_iter().map(|(_, p)| p).collect::<Vec<_>>();
+    let scene = scene(&[
+        ("room", quads(box_faces([0.0; 3], [1.0; 3], true))),
+        ("block", quads(box_faces([0.3; 3], [0.3; 3], false))),
+    ]);
+    let sides = Sides::fronts(&scene);
+    let elements = |rays: u32, asked: bool| {
+        let size = size_for_pairs(&scene, &sides, rays, asked).expect("few elements");
+        size.map(|size| Mesh::new(&scene, &sides, size, true).expect("mesh").len())
+    };
+    assert_eq!((elements(64, false), elements(64, true)), (None, Some(12)));
+    let many = elements(1024, false).expect("128 elements are allowed");
+    assert!((13..=128).contains(&many) && elements(1024, true) == Some(many), "{many}");
 }

@@ -174,6 +174,7 @@ pub(super) fn pair_work(seed: u32) -> PairWork<'static> {
         tolerance: 1e-5,
         unoccluded: false,
         cells: Some(CELL_ERROR),
+        rows: None,
         seed,
         progress: &|_| (),
     }

@@ -10,6 +10,9 @@ pub const MOST_CORNERS: usize = 12;
 /// Corners within this share of the coordinates' size of a plane lie on it: rounding, not geometry.
 const ON_PLANE: f64 = 1e-15;
 
+/// Shares of a diagonal that a parallelogram's corner may be off by: rounding, not geometry.
+const PARALLEL: f64 = 1e-12;
+
 /// A convex planar polygon, counter-clockwise seen from the front.
 #[derive(Debug, Clone, Copy)]
 pub struct Polygon {
@@ -97,6 +100,34 @@ impl Polygon {
         let sum: DVec3 =
             (1..self.len - 1).map(|k| (self.corners[k] - o).cross(self.corners[k + 1] - o)).sum();
         0.5 * sum.length()
+    }
+
+    /// The point for (s, t) uniform in the unit square; uniform in area.
+    pub fn point(&self, s: f64, t: f64) -> DVec3 {
+        let o = self.corners[0];
+        if let [_, a, c, b] = *self.corners() {
+            // Parallelograms, as most elements are, keep points as evenly spread as they come.
+            let (a, b) = (a - o, b - o);
+            if (o + a + b - c).abs().max_element() <= PARALLEL * (c - o).abs().max_element() {
+                return o + s * a + t * b;
+            }
+        }
+        let triangle = |k: usize| {
+            let (a, b) = (self.corners[k] - o, self.corners[k + 1] - o);
+            (a, b, a.cross(b).length())
+        };
+        let last = self.len - 2;
+        let mut rest = s * (1..=last).map(|k| triangle(k).2).sum::<f64>();
+        let mut k = 1;
+        let (mut a, mut b, mut area) = triangle(k);
+        while rest > area && k < last {
+            rest -= area;
+            k += 1;
+            (a, b, area) = triangle(k);
+        }
+        // The share of the triangle that is used up says how far from the first corner.
+        let away = if area > 0.0 { (rest / area).clamp(0.0, 1.0).sqrt() } else { 0.0 };
+        o + away * ((1.0 - t) * a + t * b)
     }
 
     /// Whether some of the polygon lies more than `eps` in front of the plane through `point`.

@@ -170,7 +170,7 @@ impl Factors {
         match (&found.estimates, by_object) {
             (Estimates::Pairs(pairs, matrix), true) => {
                 let table = found.table(scene, mesh, seconds);
-                let rest = |e: usize| pairs.rest(e, matrix.as_ref().and_then(|m| m.summary.get(e))).absorbed;
+                let rest = |e: usize| pairs.rest(e, matrix.as_ref()).absorbed;
                 Factors::of_table(scene, mesh, table, rest, rows)
             }
             (Estimates::Pairs(pairs, matrix), false) => {
@@ -200,7 +200,7 @@ impl Factors {
         let rays = matrix.map_or(0, |m| m.rays_per_row);
         let mut factors = Factors::without_entries(scene, mesh, rows.clone(), rays, seconds);
         for row in rows {
-            let rest = pairs.rest(row, matrix.and_then(|m| m.summary.get(row)));
+            let rest = pairs.rest(row, matrix);
             factors.escaped.push(color::mean(rest.escaped));
             factors.absorbed.push(color::mean(rest.absorbed + rest.dropped));
             for (j, f) in pairs.row(row) {

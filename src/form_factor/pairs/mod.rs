@@ -6,8 +6,8 @@
 //! count as one, and faces that enclose a convex body as that body, unless elements lie on its inside or other faces
 //! within it.
 //!
-//! Where few bodies lie between two of many elements, `cells` integrates what one element sees of the other. For other
-//! pairs points are spread over one element, and what each sees of the other element is weighted by the kernel:
+//! Where few bodies lie between two elements, `cells` integrates what one element sees of the other. Other pairs take what hemisphere
+//! rays found (`left`), or points are spread over one element, and what each sees of the other element is weighted by the kernel:
 //!
 //! `F = F_0 * sum of f(p) / sum of f_0(p)`,
 //!
@@ -19,6 +19,7 @@
 mod body;
 mod cells;
 mod few;
+mod left;
 mod look;
 mod merge;
 mod ring;
@@ -52,8 +53,12 @@ pub const MOST_SURFACES: usize = 1024;
 /// Most elements whose pairs are held: 100 MB.
 pub const MOST_ELEMENTS: usize = 4096;
 
-/// Largest rest of a row that may be an error of its factors.
+/// Largest rest of a row that may be an error of its factors whatever these state.
 const CLOSED: f64 = 1e-3;
+/// Standard errors of a row's sum that its rest may be an error of.
+const CLOSED_ERRORS: f64 = 4.0;
+/// Rays that meet a gap in the mean: of as many none does but once in 1,000 times.
+const RAYS_THAT_MEET: f64 = 7.0;
 
 /// Rays that look for what lies between, all pairs together.
 const LOOKS: usize = 1 << 21;
@@ -74,6 +79,9 @@ pub struct PairWork<'a> {
     /// Partly hidden pairs are integrated cell by cell, to this relative error, where few bodies lie between; all by points
     /// where none is given.
     pub cells: Option<f64>,
+    /// Hemisphere rays of all elements, which tell of pairs with too many bodies for cells between; these are estimated by points
+    /// where there are none.
+    pub rows: Option<&'a ExchangeMatrix>,
     /// Ignore what lies between.
     pub unoccluded: bool,
     /// Seed.
@@ -103,6 +111,8 @@ pub struct PairCounts {
     pub shadows: u64,
     /// Estimated by rays from area to area.
     pub rays: u64,
+    /// Taken from hemisphere rays.
+    pub hemisphere: u64,
     /// Of the estimated ones, those that missed the error asked for.
     pub missed: u64,
 }
@@ -195,7 +205,7 @@ impl PairFactors {
         let scene = visibility.scene();
         let shared = Shared::new(visibility, scene, mesh, work);
         let n = mesh.len();
-        let rows: Vec<rows::Row> = (0..n)
+        let mut rows: Vec<rows::Row> = (0..n)
             .into_par_iter()
             // Elements at frames and edges take a hundred times as long as others, and lie side by side.
             .with_max_len(1)
@@ -205,6 +215,7 @@ impl PairFactors {
                 row
             })
             .collect();
+        let left: Vec<Vec<u32>> = rows.iter_mut().map(|row| std::mem::take(&mut row.left)).collect();
         let m = shared.objects;
         let mut all = PairFactors {
             n,
@@ -224,18 +235,25 @@ impl PairFactors {
             all.rays += row.rays;
             all.counts.add(&row.counts);
             let a = shared.elements[i].object as usize;
-            for &(b, mean, variance) in &row.objects {
-                let b = b as usize;
-                // Both directions of a pair within one object are the same number twice.
-                let (mean, variance) = if a == b { (2.0 * mean, 4.0 * variance) } else { (mean, variance) };
-                let places = [a * m + b, b * m + a];
-                for k in &places[..if a == b { 1 } else { 2 }] {
-                    all.objects[*k].0 += mean;
-                    all.objects[*k].1 += variance;
-                }
-            }
+            row.objects
+                .iter()
+                .for_each(|&(b, mean, variance)| all.add_objects((a, b as usize), mean, variance));
+        }
+        if let Some(matrix) = work.rows {
+            all.take_left(&shared, &left, matrix);
         }
         all
+    }
+
+    /// Adds to the exchange area between two objects, and to its variance.
+    fn add_objects(&mut self, (a, b): (usize, usize), mean: f64, variance: f64) {
+        let m = self.object_count;
+        // Both directions of a pair within one object are the same number twice.
+        let (mean, variance) = if a == b { (2.0 * mean, 4.0 * variance) } else { (mean, variance) };
+        for k in &[a * m + b, b * m + a][..if a == b { 1 } else { 2 }] {
+            self.objects[*k].0 += mean;
+            self.objects[*k].1 += variance;
+        }
     }
 
     /// Number of elements.
@@ -275,9 +293,11 @@ impl PairFactors {
         (0..self.n).map(move |j| (j, self.factor(i, j).0)).filter(|(_, f)| *f > 0.0)
     }
 
-    /// What the factors of row i leave of 1, shared between escaped and absorbed as the hemisphere rays of `row` were;
-    /// all escaped without these, and where these met no gap although much is left.
-    pub fn rest(&self, i: usize, row: Option<&RowSummary>) -> RowSummary {
+    /// What the factors of row i leave of 1, shared between escaped and absorbed as the hemisphere rays of `rows` were;
+    /// all escaped without these, and where these met no gap although more is left than the factors may be off by, and
+    /// not so much that the rays would have met it.
+    pub fn rest(&self, i: usize, rows: Option<&ExchangeMatrix>) -> RowSummary {
+        let row = rows.and_then(|rows| rows.summary.get(i));
         let rest = (1.0 - self.row(i).map(|(_, f)| f).sum::<f64>()).max(0.0);
         let mut found = RowSummary { exposed: 1.0, ..row.copied().unwrap_or_default() };
         if row.is_none() {
@@ -287,17 +307,25 @@ impl PairFactors {
         if lost > 0.0 {
             found.escaped *= rest / lost;
             found.absorbed *= rest / lost;
-        } else if rest > CLOSED {
+        } else if rest > CLOSED
+            && rest > CLOSED_ERRORS * self.row_error(i)
+            && rows.is_none_or(|rows| rest * f64::from(rows.rays_per_row) < RAYS_THAT_MEET)
+        {
             // Too few rays to meet the gap.
             found.escaped = Rgb::splat(rest);
         }
         found
     }
 
+    /// Standard error of the sum of row i.
+    fn row_error(&self, i: usize) -> f64 {
+        (0..self.n).map(|j| self.factor(i, j).1.powi(2)).sum::<f64>().sqrt()
+    }
+
     /// Largest departure of a row from closure: factors and the rest that hemisphere rays found sum to 1.
     pub fn closure_residual(&self, rows: Option<&ExchangeMatrix>) -> f64 {
         let residual = |i: usize| {
-            let rest = self.rest(i, rows.and_then(|r| r.summary.get(i)));
+            let rest = self.rest(i, rows);
             let sum: f64 = self.row(i).map(|(_, f)| f).sum();
             (sum + rest.escaped.x + rest.absorbed.x - 1.0).abs()
         };
@@ -402,6 +430,7 @@ impl PairCounts {
         self.cells += other.cells;
         self.shadows += other.shadows;
         self.rays += other.rays;
+        self.hemisphere += other.hemisphere;
         self.missed += other.missed;
     }
 }
@@ -418,17 +447,9 @@ impl Element {
         self.open = (!whole).then_some(open);
     }
 
-    /// How many parts no body stands on, one at least.
-    fn pieces(&self) -> usize {
-        self.open.as_ref().map_or(1, |open| open.len().max(1))
-    }
-
-    /// What no body stands on; all of it, if wanted, where that is something.
-    fn parts(&self, all: bool) -> &[Polygon] {
-        match &self.open {
-            Some(open) if !all || open.is_empty() => open,
-            _ => std::slice::from_ref(&self.polygon),
-        }
+    /// What no body stands on.
+    fn parts(&self) -> &[Polygon] {
+        self.open.as_deref().unwrap_or(std::slice::from_ref(&self.polygon))
     }
 }
 

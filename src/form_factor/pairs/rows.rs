@@ -23,8 +23,8 @@ const LEAST: f64 = 1e-4;
 const MOST_SHADOWS: usize = 48;
 /// Distance, in radii of the polygon, beyond which rules of second degree are within 1e-3 of Lambert's formula.
 const SMALL: f64 = 4.0;
-/// Points of a randomisation whose shadows are kept for the other pairs of the row.
-const KEPT: usize = 16;
+/// Least points of a randomisation: the spread of fewer says nothing.
+const LEAST_POINTS: usize = 8;
 
 /// Pairs of one element.
 pub(super) struct Row {
@@ -35,24 +35,26 @@ pub(super) struct Row {
     pub rays: u64,
     /// By object of j: exchange area [m^2] and its variance.
     pub objects: Vec<(u32, f64, f64)>,
+    /// The j whose pairs are left to hemisphere rays; nothing is in `exchange` for them.
+    pub left: Vec<u32>,
 }
 
-/// One point on the row's element: its place and the direction that a ray takes on the other.
-#[derive(Clone, Copy)]
-struct Sample {
-    point: DVec3,
-    /// Uniform numbers that choose a point of the other element.
-    other: [f64; 2],
+/// The part of an element that faces the other one of a pair, and the element.
+type Side<'a> = (&'a Polygon, usize);
+
+/// What points of all randomisations make known.
+#[derive(Clone, Copy, Default)]
+struct Sums {
+    /// Visible and whole kernel of each randomisation.
+    seen: [(f64, f64); BATCHES],
+    /// Squares of whole kernels.
+    squares: f64,
 }
 
 /// Buffers of one thread.
 #[derive(Default)]
 pub(super) struct Scratch {
-    /// `samples[k * batches + batch]`.
-    samples: Vec<Sample>,
-    /// Shadows of a face from the first samples.
-    shadows: Vec<Vec<Shadow>>,
-    fresh: Vec<Shadow>,
+    shadows: Vec<Shadow>,
     pieces: Pieces,
     packet: ShadowPacket,
     cells: Cells,
@@ -84,9 +86,6 @@ impl Shared<'_, '_> {
         only: Option<&[bool]>,
     ) -> Row {
         let a = &self.elements[i];
-        scratch.samples.clear();
-        scratch.shadows.iter_mut().for_each(Vec::clear);
-        scratch.shadows.resize(self.surfaces.len(), Vec::new());
         scratch.past.clear();
         scratch.past.resize(self.bodies.len(), None);
         let mut sums = vec![([0.0; BATCHES], 0.0, 0.0); self.objects];
@@ -96,6 +95,7 @@ impl Shared<'_, '_> {
             counts: PairCounts::default(),
             rays: 0,
             objects: Vec::new(),
+            left: Vec::new(),
         };
         for j in others {
             if only.is_some_and(|only| !only[i] && !only[j]) {
@@ -107,10 +107,14 @@ impl Shared<'_, '_> {
             let (by_batch, unseen, certain) = &mut sums[b.object as usize];
             let averted = a.surface == b.surface || self.between(i, j).is_some_and(|between| between.averted);
             let (mut exchange, mut variance, mut met) = (0.0, 0.0, false);
-            // Points lie all over elements: to them, what a body stands on is hidden like the rest of what it hides.
-            let partly = a.open.is_some() || b.open.is_some();
-            let by_points = partly && self.bodies_between(scratch, (i, j), &b.polygon).is_none();
-            let (of_a, of_b) = (a.parts(by_points), b.parts(by_points));
+            let crowded = !averted && self.is_crowded(scratch, (i, j));
+            if crowded && self.work.rows.is_some() && facing(&a.polygon, &b.polygon).is_some() {
+                row.left.push(j as u32);
+                row.exchange.push(0.0);
+                row.error.push(0.0);
+                continue;
+            }
+            let (of_a, of_b) = (a.parts(), b.parts());
             for (pa, pb) in of_a.iter().flat_map(|pa| of_b.iter().map(move |pb| (pa, pb))) {
                 if averted {
                     continue;
@@ -124,7 +128,7 @@ impl Shared<'_, '_> {
                     (&cut.0, &cut.1)
                 };
                 met = true;
-                let (full, estimate) = self.pair(scratch, (i, j), (pa, pb), &mut row);
+                let (full, estimate) = self.pair(scratch, (i, j), (pa, pb), crowded, &mut row);
                 match estimate {
                     None => *certain += full,
                     Some(e) => {
@@ -156,16 +160,15 @@ impl Shared<'_, '_> {
         scratch: &mut Scratch,
         (i, j): (usize, usize),
         (pa, pb): (&Polygon, &Polygon),
+        crowded: bool,
         row: &mut Row,
     ) -> (f64, Option<Estimate>) {
         if self.work.unoccluded {
             row.counts.free += 1;
             return (exchange_facing(pa, pb, self.tolerance()), None);
         }
-        if let Some(relative) = self.work.cells {
-            if let Some(found) = self.by_cells(scratch, (i, j), (pa, pb), relative, row) {
-                return found;
-            }
+        if let Some(relative) = self.work.cells.filter(|_| !crowded) {
+            return self.by_cells(scratch, (i, j), (pa, pb), relative, row);
         }
         let full = exchange_facing(pa, pb, self.tolerance());
         let mut between: Vec<u32> = Vec::new();
@@ -184,20 +187,23 @@ impl Shared<'_, '_> {
             row.counts.hidden += 1;
             return (0.0, None);
         }
+        // Points on the smaller part see less change of the other one.
+        let sides = if pa.area() <= pb.area() { ((pa, i), (pb, j)) } else { ((pb, j), (pa, i)) };
+        let largest = full / self.elements[i].area.min(self.elements[j].area);
         let estimate = if between.len() <= MOST_SHADOWS {
             row.counts.shadows += 1;
-            let middle = pb.middle();
-            let (radius, reach) = (pb.radius(middle), pa.middle().distance(middle) - pa.radius(pa.middle()));
-            let seen = Seen { polygon: pb, small: self.tolerance() > EXACT && reach > SMALL * radius };
-            self.estimate(scratch, i, (i, j), full, |scratch, k, out| {
-                self.by_shadows(scratch, i, &seen, &between, k, out);
-            })
+            let (from, to) = (sides.0.0, sides.1.0);
+            let middle = to.middle();
+            let (radius, reach) =
+                (to.radius(middle), from.middle().distance(middle) - from.radius(from.middle()));
+            let seen = Seen { polygon: to, small: self.tolerance() > EXACT && reach > SMALL * radius };
+            self.estimate(largest, |k, out| self.by_shadows(scratch, sides, &seen, &between, k, out))
         } else {
             row.counts.rays += 1;
             let mut rays = 0;
-            let estimate = self.estimate(scratch, i, (i, j), full, |scratch, k, out| {
+            let estimate = self.estimate(largest, |k, out| {
                 rays += self.work.batches as u64;
-                self.by_rays(scratch, (i, j), k, out);
+                self.by_rays(scratch, sides, k, out);
             });
             row.rays += rays;
             estimate
@@ -212,13 +218,15 @@ impl Shared<'_, '_> {
         self.between.get(f.min(g) * self.sides + f.max(g))
     }
 
-    /// Bodies that may come between element i and a polygon of element j; none where they are too many for cells.
-    fn bodies_between(
-        &self,
-        scratch: &mut Scratch,
-        (i, j): (usize, usize),
-        pb: &Polygon,
-    ) -> Option<Vec<&Body>> {
+    /// Whether too many bodies for cells may come between two elements.
+    fn is_crowded(&self, scratch: &mut Scratch, (i, j): (usize, usize)) -> bool {
+        self.work.cells.is_some()
+            && self.between(i, j).is_some_and(|between| between.bodies.len() > MOST_BODIES)
+            && self.bodies_between(scratch, (i, j), &self.elements[j].polygon).len() > MOST_BODIES
+    }
+
+    /// Bodies that may come between element i and a polygon of element j; where they are too many for cells, one more than that.
+    fn bodies_between(&self, scratch: &mut Scratch, (i, j): (usize, usize), pb: &Polygon) -> Vec<&Body> {
         let mut between: Vec<&Body> = Vec::new();
         for k in self.between(i, j).map_or(&[][..], |between| &between.bodies) {
             let body = &self.bodies[*k as usize];
@@ -231,15 +239,15 @@ impl Shared<'_, '_> {
                 past.swap(0, k);
                 continue;
             }
-            if between.len() == MOST_BODIES {
-                return None;
-            }
             between.push(body);
+            if between.len() > MOST_BODIES {
+                break;
+            }
         }
-        Some(between)
+        between
     }
 
-    /// The same as [`Shared::pair`] from bodies; none where too many of them lie between.
+    /// The same as [`Shared::pair`] from bodies.
     fn by_cells(
         &self,
         scratch: &mut Scratch,
@@ -247,16 +255,16 @@ impl Shared<'_, '_> {
         (pa, pb): (&Polygon, &Polygon),
         relative: f64,
         row: &mut Row,
-    ) -> Option<(f64, Option<Estimate>)> {
-        let between = self.bodies_between(scratch, (i, j), pb)?;
+    ) -> (f64, Option<Estimate>) {
+        let between = self.bodies_between(scratch, (i, j), pb);
         if between.iter().any(|body| body.hides(pa, pb)) {
             row.counts.hidden += 1;
-            return Some((0.0, None));
+            return (0.0, None);
         }
         let full = exchange_facing(pa, pb, self.tolerance());
         if between.is_empty() {
             row.counts.free += 1;
-            return Some((full, None));
+            return (full, None);
         }
         row.counts.cells += 1;
         // Points belong where the body is far: there the view changes slowly.
@@ -279,47 +287,39 @@ impl Shared<'_, '_> {
             && largest * found.value > self.work.floor;
         row.counts.missed += u64::from(missed);
         let fractions = [found.value; BATCHES];
-        Some((full, Some(Estimate { fractions, mean: found.value, variance, unseen: variance, missed })))
+        (full, Some(Estimate { fractions, mean: found.value, variance, unseen: variance, missed }))
     }
 
     /// Adds points, one in each randomisation, until there are enough. `see` gives (visible, whole)
-    /// kernel of sample k of every randomisation.
-    fn estimate(
-        &self,
-        scratch: &mut Scratch,
-        i: usize,
-        (a, b): (usize, usize),
-        full: f64,
-        mut see: impl FnMut(&mut Scratch, usize, &mut [(f64, f64); BATCHES]),
-    ) -> Estimate {
-        let mut sums = [(0.0, 0.0); BATCHES];
+    /// kernel of point k of every randomisation; `largest` is the larger of the pair's two factors if all were visible.
+    fn estimate(&self, largest: f64, mut see: impl FnMut(usize, &mut [(f64, f64); BATCHES])) -> Estimate {
+        let mut sums = Sums::default();
         let batches = self.work.batches;
         let mut values = [(0.0, 0.0); BATCHES];
-        // Of an element in many pieces much is covered, and more points must tell what is not.
-        let pieces = (self.elements[a].pieces() * self.elements[b].pieces()).next_power_of_two();
-        let (mut done, mut goal) = (0, (self.work.points.max(1) as usize * pieces).min(MOST_POINTS as usize));
-        let largest = full / self.elements[a].area.min(self.elements[b].area);
+        let (mut done, mut goal) = (0, (self.work.points as usize).clamp(LEAST_POINTS, MOST_POINTS as usize));
         loop {
-            self.extend(scratch, i, goal);
             for k in done..goal {
-                see(scratch, k, &mut values);
-                for (s, v) in sums.iter_mut().zip(&values).take(batches) {
+                see(k, &mut values);
+                for (s, v) in sums.seen.iter_mut().zip(&values).take(batches) {
                     s.0 += v.0;
                     s.1 += v.1;
+                    sums.squares += v.1 * v.1;
                 }
             }
             done = goal;
-            let mut estimate = Estimate::of(&sums, self.work.batches, done * self.work.batches);
+            let mut estimate = Estimate::of(&sums, batches);
             let Some(asked) = self.work.error else { return estimate };
             // A narrow strip that is seen (or hidden) alone can slip between all points, and then their spread is too
             // small: n points find it within about `sqrt(V) / n`, miss 1 / n of it where all see everything, and
             // less where all see nothing, since what is seen there begins at nothing on both elements.
-            let points = (done * batches) as f64;
+            let points = sums.points();
             let (mean, spread) = (estimate.mean, (estimate.variance - estimate.unseen).max(0.0).sqrt());
             let strip = 1.0 / points * if mean == 1.0 { 1.0 } else { mean.min(1.0 - mean).sqrt() };
             let lost = 0.25 / points;
-            let enough = mean > 0.0 && spread.max(strip) <= asked * mean
-                || largest * (mean + 2.0 * spread + lost) < self.work.floor;
+            // Where no point faces the other part there is nothing to go by.
+            let enough = points > 0.0
+                && (mean > 0.0 && spread.max(strip) <= asked * mean
+                    || largest * (mean + 2.0 * spread + lost) < self.work.floor);
             if enough || done >= MOST_POINTS as usize {
                 estimate.missed = !enough;
                 return estimate;
@@ -328,78 +328,58 @@ impl Shared<'_, '_> {
         }
     }
 
-    /// Makes sure that the first `count` points of each randomisation exist.
-    fn extend(&self, scratch: &mut Scratch, i: usize, count: usize) {
-        let scene = self.visibility.scene();
-        for k in scratch.samples.len() / self.work.batches..count {
-            for batch in 0..self.work.batches {
-                let x = sobol(k as u32, 0, seed_of(&[self.work.seed, i as u32, batch as u32, 0x7061]));
-                let point = point_on(scene, self.mesh, i as u32, x[0], x[1]);
-                scratch.samples.push(Sample { point, other: [x[2], x[3]] });
-            }
-        }
+    /// Point k of a randomisation of a pair: four uniform numbers.
+    fn numbers(&self, (i, j): (usize, usize), k: usize, batch: usize) -> [f64; 4] {
+        sobol(k as u32, 0, seed_of(&[self.work.seed, i as u32, j as u32, batch as u32, 0x7061]))
     }
 
-    /// What the points see of polygon `b` past the faces `between`.
+    /// What the points of one side see of the other, `seen`, past the faces `between`.
     fn by_shadows(
         &self,
         scratch: &mut Scratch,
-        i: usize,
+        ((from, i), (_, j)): (Side, Side),
         seen: &Seen,
         between: &[u32],
         k: usize,
         out: &mut [(f64, f64); BATCHES],
     ) {
-        let Scratch { samples, shadows, fresh, pieces, .. } = scratch;
-        let (normal, batches) = (self.elements[i].polygon.normal, self.work.batches);
-        if k < KEPT {
-            for q in between {
-                let (kept, face) = (&mut shadows[*q as usize], &self.surfaces[*q as usize].polygon);
-                let new = samples[..(k + 1) * batches].iter().skip(kept.len());
-                kept.extend(new.map(|s| Shadow::new(s.point, face)));
-            }
-        }
-        for (batch, out) in out.iter_mut().enumerate().take(batches) {
-            let at = k * batches + batch;
-            let point = samples[at].point;
+        let Scratch { shadows, pieces, .. } = scratch;
+        for (batch, out) in out.iter_mut().enumerate().take(self.work.batches) {
+            let x = self.numbers((i, j), k, batch);
+            let point = from.point(x[0], x[1]);
             *out = if (point - seen.polygon.corners()[0]).dot(seen.polygon.normal) <= 0.0 {
                 (0.0, 0.0)
-            } else if k < KEPT {
-                visible(point, normal, seen, between.iter().map(|q| &shadows[*q as usize][at]), pieces)
             } else {
-                fresh.clear();
-                fresh.extend(between.iter().map(|q| Shadow::new(point, &self.surfaces[*q as usize].polygon)));
-                visible(point, normal, seen, fresh.iter(), pieces)
+                shadows.clear();
+                shadows
+                    .extend(between.iter().map(|q| Shadow::new(point, &self.surfaces[*q as usize].polygon)));
+                visible(point, from.normal, seen, shadows.iter(), pieces)
             };
         }
     }
 
-    /// The kernel from each point to one of element j, and whether a ray gets there.
+    /// The kernel from each point of one side to one of the other, and whether a ray gets there.
     fn by_rays(
         &self,
         scratch: &mut Scratch,
-        (i, j): (usize, usize),
+        ((from, i), (to, j)): (Side, Side),
         k: usize,
         out: &mut [(f64, f64); BATCHES],
     ) {
-        let scene = self.visibility.scene();
-        let (na, nb) = (self.elements[i].polygon.normal, self.elements[j].polygon.normal);
+        let area = to.area();
         scratch.packet.clear();
         for (batch, out) in out.iter_mut().enumerate().take(self.work.batches) {
-            let Sample { point, other } = scratch.samples[k * self.work.batches + batch];
-            let target = point_on(scene, self.mesh, j as u32, other[0], other[1]);
+            let x = self.numbers((i, j), k, batch);
+            let (point, target) = (from.point(x[0], x[1]), to.point(x[2], x[3]));
             let d = target - point;
-            let (cos, cos_there, r2) = (d.dot(na), -d.dot(nb), d.length_squared());
-            let kernel = if cos > 0.0 && cos_there > 0.0 {
-                self.elements[j].area * cos * cos_there / (PI * r2 * r2)
-            } else {
-                0.0
-            };
+            let (cos, cos_there, r2) = (d.dot(from.normal), -d.dot(to.normal), d.length_squared());
+            let kernel =
+                if cos > 0.0 && cos_there > 0.0 { area * cos * cos_there / (PI * r2 * r2) } else { 0.0 };
             *out = (kernel, kernel);
             if kernel > 0.0 {
-                let [from, to] = [i, j].map(|e| self.mesh.place(e as u32).0);
-                let ray = self.visibility.segment(self.visibility.leave(from, point, na), to, target, nb);
-                scratch.packet.set(batch, &ray);
+                let [start, end] = [i, j].map(|e| self.mesh.place(e as u32).0);
+                let start = self.visibility.leave(start, point, from.normal);
+                scratch.packet.set(batch, &self.visibility.segment(start, end, target, to.normal));
             }
         }
         let blocked = self.visibility.occluded16(&mut scratch.packet, false);
@@ -417,27 +397,33 @@ pub(super) fn point_on(scene: &Scene, mesh: &Mesh, element: u32, s: f64, t: f64)
     place.at(place.uv(s, t))
 }
 
+impl Sums {
+    /// How many points of equal kernel would tell as much: one that lies close to the other side outweighs many.
+    fn points(&self) -> f64 {
+        let whole: f64 = self.seen.iter().map(|s| s.1).sum();
+        if whole > 0.0 { whole * whole / self.squares } else { 0.0 }
+    }
+}
+
 impl Estimate {
-    fn of(sums: &[(f64, f64); BATCHES], batches: usize, points: usize) -> Estimate {
-        let (seen, whole) = sums.iter().fold((0.0, 0.0), |s, v| (s.0 + v.0, s.1 + v.1));
+    fn of(sums: &Sums, batches: usize) -> Estimate {
+        let (seen, whole) = sums.seen.iter().fold((0.0, 0.0), |s, v| (s.0 + v.0, s.1 + v.1));
         if whole == 0.0 {
-            // Every point lies behind the other element: nothing is known but that it is small.
-            let unseen = 1.0;
-            return Estimate {
-                fractions: [0.0; BATCHES],
-                mean: 0.0,
-                variance: unseen,
-                unseen,
-                missed: false,
-            };
+            // Every point lies behind the other element: nothing is known, and half is off by half at most.
+            let (mean, unseen) = (0.5, 0.25);
+            let fractions = [mean; BATCHES];
+            return Estimate { fractions, mean, variance: unseen, unseen, missed: false };
         }
         let mean = seen / whole;
         let scale = batches as f64 / whole;
-        let fractions = sums.map(|(f, f0)| mean + (f - mean * f0) * scale);
+        let fractions = sums.seen.map(|(f, f0)| mean + (f - mean * f0) * scale);
         let (_, error) = mean_error(&fractions[..batches]);
         // All points alike: what n points all missed covers less than 3/n of the element (95 %), and hides or shows
-        // a third of it on average, since it starts from nothing.
-        let unseen = if seen == 0.0 || seen == whole { (0.5 / points as f64).powi(2) } else { 0.0 };
+        // a third of it on average, since it starts from nothing. Where so few points count that these leave randomisations
+        // without any, the spread does not show more either.
+        let points = sums.points();
+        let alike = seen == 0.0 || seen == whole || points < batches as f64;
+        let unseen = if alike { (0.5 / points).powi(2) } else { 0.0 };
         Estimate { fractions, mean, variance: error * error + unseen, unseen, missed: false }
     }
 }
