@@ -9,9 +9,8 @@
 
 use crate::bsdf::MIRROR_ALPHA;
 use crate::color::{self, Rgb};
-use crate::geometry::Frame;
+use crate::medium::Media;
 use crate::mesh::side_index;
-use crate::sampling;
 use crate::scene::{FaceFrame, Scene};
 use crate::visibility::Visibility;
 use glam::{DVec3, Vec3};
@@ -28,8 +27,6 @@ const FEW: usize = 16;
 /// Share of the samples that lamps (all of an object that has one material) get in equal parts, whatever their power: the
 /// strongest may be in another room, and what lights this one would never be sampled.
 const FOR_EACH: f64 = 0.25;
-/// Rays that find the medium in front of an emitter, in scenes with glass.
-const MEDIUM_RAYS: u32 = 32;
 
 /// All emitting sides of a scene, and the planes of its flat mirrors.
 #[derive(Debug, Clone)]
@@ -105,7 +102,7 @@ impl Emitters {
     /// The emitters and flat mirrors of a scene.
     pub fn new(visibility: &Visibility) -> Emitters {
         let scene = visibility.scene();
-        let glass = scene.materials.iter().any(|m| m.bends());
+        let media = Media::new(scene);
         let mut sides = Vec::new();
         let mut index = vec![NONE; 2 * scene.faces.len()];
         for (k, face) in scene.faces.iter().enumerate() {
@@ -114,7 +111,8 @@ impl Emitters {
                 if radiance.max_element() > 0.0 {
                     index[side_index(k as u32, front)] = sides.len() as u32;
                     let normal = if front { face.normal } else { -face.normal };
-                    let index2 = if glass { medium_index2(visibility, k as u32, normal) } else { 1.0 };
+                    let index2 = |m: &Media| m.side_index2(visibility, k as u32, normal);
+                    let index2 = media.as_ref().map_or(1.0, index2);
                     let radiance = radiance / index2;
                     sides.push(EmitterSide {
                         face: k as u32,
@@ -287,32 +285,6 @@ fn chances(scene: &Scene, sides: &[EmitterSide], power: &[f64]) -> Vec<f64> {
     let equal = total / of_lamp.len() as f64;
     let share = |s: &EmitterSide| (1.0 - FOR_EACH) / total + FOR_EACH / total * (equal / of_lamp[&lamp(s)]);
     sides.iter().zip(power).map(|(s, p)| p * share(s)).collect()
-}
-
-/// Squared index of the medium in front of a side of a face: that of the glass whose inside most of its rays meet first.
-pub(crate) fn medium_index2(visibility: &Visibility, face: u32, normal: DVec3) -> f64 {
-    let scene = visibility.scene();
-    let frame = Frame::new(normal);
-    let place = scene.face_frame(&scene.faces[face as usize]);
-    let mut inside = BTreeMap::new();
-    let mut votes = 0u32;
-    for k in 0..MEDIUM_RAYS {
-        let [u, v, a, b] = sampling::sobol(k, 0, 0);
-        let origin = visibility.leave(face, place.at(place.uniform(u, v)), normal);
-        let direction = frame.to_scene(sampling::cosine_hemisphere(a, b)).as_vec3();
-        let Some(hit) = visibility.closest(origin, direction, face) else { continue };
-        let material = scene.material(&scene.faces[hit.face as usize]);
-        if material.bends() {
-            votes += 1;
-            if !hit.front {
-                *inside.entry(material.ior.to_bits()).or_insert(0u32) += 1;
-            }
-        }
-    }
-    match inside.into_iter().max_by_key(|(_, n)| *n) {
-        Some((index, n)) if 2 * n > votes => f64::from_bits(index).powi(2),
-        _ => 1.0,
-    }
 }
 
 /// The connection of a receiver with a sampled point, where each faces the other.

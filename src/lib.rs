@@ -50,6 +50,7 @@ pub mod form_factor;
 pub mod geometry;
 pub mod hard_cases;
 pub mod image;
+mod medium;
 pub mod memory;
 pub mod mesh;
 pub mod npz;

@@ -422,6 +422,33 @@ fn scene_file_overrides_and_adds_materials() {
     assert_eq!(scene.warnings.len(), 3, "{:?}", scene.warnings);
 }
 
+/// Light comes out on the other side of what lets it through: one side alone cannot be black. What is opaque may be one-sided.
+#[test]
+fn what_lets_light_through_has_two_sides() {
+    for (entries, ignored) in [
+        ("diffuse = 0.2\ndiffuse_transmission = 0.7", true),
+        ("specular_transmission = 1\nthin = true", true),
+        ("specular_transmission = 0.9\nior = 1", true),
+        ("specular_transmission = 1", true),
+        ("diffuse = 0.5\nspecular = 0.4", false),
+    ] {
+        let scene = |more: &str| {
+            let toml = format!("geometry = [\"s.obj\"]\n[materials.pane]\n{entries}\n{more}\n");
+            load_files(&[("s.toml", &toml), ("s.obj", &format!("usemtl pane\n{SQUARE}"))]).unwrap()
+        };
+        let (one, two) = (scene("two_sided = false"), scene(""));
+        assert_eq!(one.materials == two.materials, ignored, "{entries}");
+        assert_eq!(one.materials[0].two_sided, ignored, "{entries}");
+        assert_eq!(one.warnings.len(), usize::from(ignored), "{:?}", one.warnings);
+        if ignored {
+            assert_warning(
+                &one,
+                &["s.toml:2", "\"pane\"", "lets light through", "two_sided = false is ignored"],
+            );
+        }
+    }
+}
+
 #[test]
 fn unknown_keys_are_warned_about_everywhere() {
     let toml = "untis = 1\n[camera]\norigin = [0, 0, 5]\ntarget = [0, 0, 0]\nfow = 40\n[environment]\ncolour = 1\n\

@@ -10,6 +10,7 @@ use crate::color::Rgb;
 use crate::embree::Device;
 use crate::emitters::Emitters;
 use crate::image::{self, Image, WriteOptions};
+use crate::medium;
 use crate::memory::Factors;
 use crate::pipeline::{self, Pass1, Pass1Result, Stage};
 use crate::radiosity::{Directional, Kept, Reads, Solution};
@@ -146,6 +147,7 @@ impl<'s> Ready<'_, 's> {
             found.iter().for_each(|w| progress.warn(w));
             warnings.extend_from_slice(found);
         };
+        warn(&medium::warnings(visibility));
         if let Some(error) = args.error {
             let reach = || pipeline::reached(visibility, &view_points, args.common.seed, observer);
             let view = View {

@@ -6,6 +6,7 @@ use super::render::{of_element_size, pass1, pass1_of, quality, reads, tell_adapt
 use super::{check_outputs, spare_inputs};
 use crate::embree::Device;
 use crate::emitters::Emitters;
+use crate::medium;
 use crate::output::write_whole;
 use crate::pipeline::{self, Stage};
 use crate::render::Method;
@@ -42,9 +43,10 @@ pub fn run(args: &SolveArgs) -> Result<()> {
     let limit = args.memory.limit();
     let cameras = scene.view_points();
     let what = (&visibility, &emitters, &cameras[..]);
-    let (result, adapted) = pass1_of(what, (&settings, reads), limit, observer, &mut stages)
+    let (mut result, adapted) = pass1_of(what, (&settings, reads), limit, observer, &mut stages)
         .map_err(|e| of_element_size(&args.pass1.elements, &scene, e))?;
     tell_factors(&progress, &result);
+    result.warnings.splice(0..0, medium::warnings(&visibility));
     result.warnings.iter().for_each(|w| progress.warn(w));
     let versions = Versions::new(&device);
     let mut pass1 = Pass1Report::new(&settings, &result);

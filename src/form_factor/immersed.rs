@@ -1,7 +1,7 @@
 //! Which elements lie inside of glass, in part or wholly.
 //!
-//! A ray that meets the back of a glass surface first began inside of it, and so did one that ends on a black surface there; one that
-//! meets the front of glass, escapes, or lands on an element of which no ray does so, outside. Where bodies inside of glass see each
+//! A ray that meets the back of a glass surface first began inside of it, and so did one that ends on a black surface there or meets the
+//! front of a body in it; one that meets the front of other glass, escapes, or lands on an element of which no ray does so, outside. Where bodies inside of glass see each
 //! other, stones in a tank of water or two of the tank's walls, a ray from one that lands on the other began where that one lies.
 
 use super::RowSummary;
@@ -12,13 +12,13 @@ const ROUNDS: usize = 64;
 /// The rays of an element some of which began inside of glass.
 pub(super) struct Immersed {
     pub element: u32,
-    /// Rays that met the back of glass first, or what is black inside of it.
+    /// Rays that met the back of glass first, or what is black or glass inside of it.
     pub inside: u32,
     /// Sum of its squared indices less one.
     pub index2: f64,
     /// Rays whose start lies open.
     pub open: u32,
-    /// Elements on which its rays landed straight away, one for each ray, in order; without those whose rays `inside` counts.
+    /// Elements on which its rays landed straight away, one for each ray, in order; without those of glass.
     pub landed: Vec<u32>,
 }
 

@@ -2,9 +2,9 @@
 
 use super::raycast::{AtSpecular, Casting};
 use crate::embree::{Hits, LANES};
-use crate::emitters::medium_index2;
+use crate::medium::Media;
 use crate::mesh::{Mesh, NONE, side_index};
-use crate::visibility::{FaceSides, SideTable, Visibility};
+use crate::visibility::{FaceSides, SideTable, SurfaceHit, Visibility};
 use glam::Vec3;
 use pulp::Simd;
 use rayon::prelude::*;
@@ -29,6 +29,10 @@ pub(super) struct Targets {
     table: SideTable,
     /// Squared index of the medium of the sides that are [`IMMERSED`], by [`side_index`].
     immersed: FxHashMap<usize, f64>,
+    /// None where no glass is followed.
+    media: Option<Media>,
+    /// Objects of glass that may lie in other glass.
+    nested: Vec<bool>,
 }
 
 /// Where the rays of a packet landed.
@@ -68,15 +72,17 @@ impl Targets {
         };
         // Elements tell by their own rays where they lie; nothing else does so of sides without any.
         let faces = 0..scene.faces.len() as u32;
-        let glass = follow && scene.faces.iter().any(|f| scene.material(f).bends());
-        let asked = faces.clone().into_par_iter().filter(|_| glass);
+        let media = Media::new(scene).filter(|_| follow);
+        let nested = media.as_ref().map_or(Vec::new(), |m| m.nested(visibility));
+        let asked = faces.clone().into_par_iter().filter(|_| media.is_some());
         let asked = asked.flat_map_iter(|k| [true, false].map(|front| (k, front)));
         let asked = asked.filter(|&(k, front)| kind(k, front) & (ABSORBED | UNREACHED) == ABSORBED);
         let immersed: FxHashMap<usize, f64> = asked
             .map(|(k, front)| {
                 let normal = scene.faces[k as usize].normal;
                 let normal = if front { normal } else { -normal };
-                (side_index(k, front), medium_index2(visibility, k, normal))
+                let index2 = |m: &Media| m.side_index2(visibility, k, normal);
+                (side_index(k, front), media.as_ref().map_or(1.0, index2))
             })
             .filter(|(_, index2)| *index2 != 1.0)
             .collect();
@@ -88,12 +94,26 @@ impl Targets {
             });
             FaceSides::new(&scene.faces[k as usize], mesh.grid(k).clone(), first, kind)
         };
-        Targets { table: SideTable::new(faces.map(sides), ESCAPED), immersed }
+        Targets { table: SideTable::new(faces.map(sides), ESCAPED), immersed, media, nested }
     }
 
     /// Squared index of the medium in front of a side that is [`IMMERSED`].
     pub(super) fn index2(&self, face: u32, front: bool) -> f64 {
         self.immersed.get(&side_index(face, front)).copied().unwrap_or(1.0)
+    }
+
+    /// Squared index of the medium that a ray came through to the surface of glass that it met.
+    pub(super) fn index2_before(&self, visibility: &Visibility, hit: &SurfaceHit, direction: Vec3) -> f64 {
+        let scene = visibility.scene();
+        let face = &scene.faces[hit.face as usize];
+        // About a body that lies in no other the index is 1.
+        match &self.media {
+            Some(media) if self.nested[face.object as usize] => {
+                media.index2_before(visibility, hit, direction)
+            }
+            _ if hit.front => 1.0,
+            _ => scene.material(face).ior.powi(2),
+        }
     }
 
     /// From now on emitters are met like any other surface.

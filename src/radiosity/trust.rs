@@ -74,8 +74,8 @@ pub fn too_large(scene: &Scene, solution: &Solution, sent: &[f64], views: bool) 
     })
 }
 
-/// What to look at where the balance fails and a scene has glass: of a surface that bends light and does not close a body,
-/// light leaves as if it were still inside.
+/// What to look at where the balance fails and a scene has glass: of a surface that bends light and does not close a body, or that is
+/// turned outside in, light leaves as if it were still inside.
 fn bending(scene: &Scene) -> String {
     let mut bends = vec![false; scene.objects.len()];
     scene.faces.iter().for_each(|f| bends[f.object as usize] |= scene.material(f).bends());
@@ -84,7 +84,7 @@ fn bending(scene: &Scene) -> String {
         return String::new();
     }
     let names = named(objects.iter().map(|k| &scene.objects[*k]));
-    format!("; glass must close a body, or say `thin = true` ({names})")
+    format!("; glass must close a body, with normals that point out of it, or say `thin = true` ({names})")
 }
 
 /// Names translucent objects that lie on others: what they let through there ends between the two.

@@ -14,6 +14,7 @@ use crate::color::Rgb;
 use crate::embree::{LANES, RayLanes, RayPacket};
 use crate::emitters::Emitters;
 use crate::image::Image;
+use crate::medium::Media;
 use crate::radiosity::{Directional, Solution};
 use crate::sampling::{seed_of, sobol, sobol_bits};
 use crate::scene::{Camera, CameraFrame, Scene};
@@ -297,13 +298,14 @@ pub fn render_pixels(
     let renderer = Renderer::new(visibility, emitters, solution, camera.size, settings);
     let (budget, looks) = renderer.budget(camera);
     let frame = camera.frame(visibility.scene());
+    let index2 = index2_at(visibility, &frame);
     let shaded: Vec<(Vec<Rgb>, Traced)> = pixels
         .par_iter()
         .with_min_len(TILE as usize)
         .map(|[x, y]| renderer.block(&frame, budget.as_ref(), &[(*x, *y)]))
         .collect();
     let traced = shaded.iter().fold(Traced::default(), |sum, pixel| sum + pixel.1);
-    let radiance = shaded.iter().flat_map(|s| s.0.iter().copied()).collect();
+    let radiance = shaded.iter().flat_map(|s| s.0.iter().map(|r| *r * index2)).collect();
     (radiance, Traced { rays: traced.rays + looks, looks, ..traced })
 }
 
@@ -351,7 +353,7 @@ impl<'a, 's> Renderer<'a, 's> {
     pub fn render(&self, camera: &Camera, progress: &(dyn Fn(u64) + Sync)) -> (Image, Traced) {
         let (budget, looks) = self.budget(camera);
         let shade = |frame: &CameraFrame, pixels: &[(u32, u32)]| self.block(frame, budget.as_ref(), pixels);
-        let (image, traced) = film(self.visibility.scene(), camera, progress, shade);
+        let (image, traced) = film(self.visibility, camera, progress, shade);
         (image, Traced { rays: traced.rays + looks, looks, ..traced })
     }
 
@@ -363,7 +365,7 @@ impl<'a, 's> Renderer<'a, 's> {
         Context { scene, visibility, emitters, solution, landings, guides, settings, arch, work }
     }
 
-    /// Mean radiance over pixels of one block [W m^-2 sr^-1], and what it took; what was dropped is summed over the pixels.
+    /// Mean radiance (over index squared) over pixels of one block [W m^-2 sr^-1], and what it took; what was dropped is summed over the pixels.
     /// Without a budget rays go everywhere alike.
     fn block(
         &self,
@@ -408,7 +410,7 @@ pub fn render_directional(
     progress: &(dyn Fn(u64) + Sync),
 ) -> (Image, Traced) {
     let scene = visibility.scene();
-    film(scene, camera, progress, |frame, pixels| {
+    film(visibility, camera, progress, |frame, pixels| {
         let seen = |origin: Vec3, direction: DVec3, sampler: Sampler| {
             let Some(hit) = visibility.closest(origin, direction.as_vec3(), u32::MAX) else {
                 return scene.environment;
@@ -420,6 +422,12 @@ pub fn render_directional(
         let radiance = pixels.iter().map(|at| pixel(frame, *at, (spp, seed), seen)).collect();
         (radiance, Traced { rays: u64::from(spp) * pixels.len() as u64, ..Traced::default() })
     })
+}
+
+/// Squared index of the medium in which a camera's eye lies: what rays bring is radiance over that, and what is seen is radiance.
+fn index2_at(visibility: &Visibility, frame: &CameraFrame) -> f64 {
+    let media = Media::new(visibility.scene());
+    media.map_or(1.0, |media| media.point_index2(visibility, frame.origin()))
 }
 
 /// Mean over the samples of a pixel of the radiance along their camera rays.
@@ -439,15 +447,16 @@ fn pixel(
     samples.sum::<Rgb>() / f64::from(spp.max(1))
 }
 
-/// All pixels of an image, tile by tile on all cores; `shade` gives the radiance of the pixels of a block, at most
+/// All pixels of an image, tile by tile on all cores; `shade` gives the radiance (over index squared) of the pixels of a block, at most
 /// [`BLOCK`] x [`BLOCK`], and the rays that they took.
 fn film(
-    scene: &Scene,
+    visibility: &Visibility,
     camera: &Camera,
     progress: &(dyn Fn(u64) + Sync),
     shade: impl Fn(&CameraFrame, &[(u32, u32)]) -> (Vec<Rgb>, Traced) + Sync,
 ) -> (Image, Traced) {
-    let frame = camera.frame(scene);
+    let frame = camera.frame(visibility.scene());
+    let index2 = index2_at(visibility, &frame);
     let [width, height] = camera.size;
     let columns = width.div_ceil(TILE);
     // Coordinates of the pixels of a square, as far as they are in the image.
@@ -466,7 +475,9 @@ fn film(
                 let block: Vec<(u32, u32)> = square(x, y, BLOCK).collect();
                 let (radiance, work) = shade(&frame, &block);
                 traced = traced + work;
-                pixels.extend(block.into_iter().zip(radiance.iter().map(|r| r.as_vec3().to_array())));
+                pixels.extend(
+                    block.into_iter().zip(radiance.iter().map(|r| (*r * index2).as_vec3().to_array())),
+                );
             }
             progress(pixels.len() as u64);
             (pixels, traced)

@@ -395,10 +395,20 @@ fn number_material(
     if let Some(over) = over {
         over.apply(&mut material);
     }
+    let one_sided = material.lets_through() && !material.two_sided;
+    // Light that goes through comes out on the other side: a black back would have to end it on one way and not on the other.
+    material.two_sided |= one_sided;
     let fresnel = material.leave_reflection_to_fresnel();
     let excess = material.conserve_energy();
     if let Some(known) = materials.iter().position(|m| *m == material) {
         return known as u32;
+    }
+    if one_sided {
+        let place = over.map_or(String::new(), |o| format!("{}: ", o.place));
+        warnings.push(format!(
+            "{place}material \"{}\": lets light through, so both its sides take part: two_sided = false is ignored",
+            material.name
+        ));
     }
     if fresnel {
         warnings.push(format!(

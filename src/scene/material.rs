@@ -31,7 +31,7 @@ pub struct Material {
     pub emission: Rgb,
     /// Emit from the back too.
     pub emit_both_sides: bool,
-    /// Reflect on both sides; a one-sided surface is black on its back.
+    /// Reflect on both sides; a one-sided surface is black on its back. Of what lets light through, the loader makes both take part.
     pub two_sided: bool,
 }
 

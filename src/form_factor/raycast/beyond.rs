@@ -41,6 +41,11 @@ impl Caster<'_, '_> {
             fate.index2 += self.targets.index2(hit.face, hit.front) - 1.0;
             fate.inside += 1;
         }
+        let index2 = if met.kind & SPECULAR != 0 { self.index2(&hit, direction) } else { 1.0 };
+        if index2 != 1.0 {
+            fate.index2 += index2 - 1.0;
+            fate.inside += 1;
+        }
         scratch.landed.set(batch as usize, k, point as usize, met.column);
         if met.kind & (EMITTER | SPECULAR) == 0 {
             return;
@@ -55,6 +60,13 @@ impl Caster<'_, '_> {
             self.chain(scratch, source, (k, batch), ray, (point, seed), &mut emitted);
         }
         scratch.fates[place].emitted += emitted;
+    }
+
+    /// Squared index of the medium that a ray came through to a specular surface; 1 where that is no glass, which tells nothing.
+    fn index2(&self, hit: &SurfaceHit, direction: Vec3) -> f64 {
+        let scene = self.visibility.scene();
+        let bends = scene.material(&scene.faces[hit.face as usize]).bends();
+        if bends { self.targets.index2_before(self.visibility, hit, direction) } else { 1.0 }
     }
 
     /// A hemisphere ray that met an emitter in a straight line.
@@ -109,10 +121,6 @@ impl Caster<'_, '_> {
         let first = direction.as_dvec3();
         let fate = self.place(scratch, at.0, at.1);
         let met = scene.material(&scene.faces[hit.face as usize]);
-        if met.bends() && !hit.front {
-            scratch.fates[fate].index2 += met.ior * met.ior - 1.0;
-            scratch.fates[fate].inside += 1;
-        }
         let mut absorbed = Rgb::ZERO;
         if self.mesh.element(hit.face, hit.front, hit.u, hit.v) != NONE {
             absorbed -= counted_twice(met);
@@ -157,11 +165,11 @@ impl Caster<'_, '_> {
         let landed = (0..self.batches).flat_map(|batch| scratch.landed.row(batch as usize, k).flatten());
         let mut landed: Vec<u32> = landed.copied().filter(|c| *c != NONE).collect();
         landed.sort_unstable();
-        // Diffuse glass has elements on its back too: rays that met these are among those inside already.
+        // Diffuse glass has elements too: rays that met these have told where they began.
         let mut last = (NONE, false);
         landed.retain(|&column| {
             if column != last.0 {
-                last = (column, !self.is_inside_of_glass(column));
+                last = (column, !self.is_glass(column));
             }
             last.1
         });
@@ -169,11 +177,10 @@ impl Caster<'_, '_> {
         Some(Immersed { element, inside, index2: fates().map(|f| f.index2).sum(), open, landed })
     }
 
-    /// Whether an element is the back of the surface of a glass body.
-    fn is_inside_of_glass(&self, element: u32) -> bool {
-        let (face, front, _) = self.mesh.place(element);
+    /// Whether an element belongs to the surface of a glass body.
+    fn is_glass(&self, element: u32) -> bool {
         let scene = self.visibility.scene();
-        !front && scene.material(&scene.faces[face as usize]).bends()
+        scene.material(&scene.faces[self.mesh.place(element).0 as usize]).bends()
     }
 }
 

@@ -16,7 +16,7 @@ pub(super) struct Fate {
     pub escaped: u32,
     /// Were absorbed where they first landed.
     pub absorbed: u32,
-    /// Met the back of glass first, or what is black inside of it.
+    /// Met the back of glass first, or what is black or glass inside of it.
     pub inside: u32,
     /// Of those, the squared indices less one.
     pub index2: f64,
