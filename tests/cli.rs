@@ -408,7 +408,7 @@ fn asked_errors_are_reported() {
     assert!((factor / 0.09950629459898479 - 1.0).abs() < 4e-3, "{factor}");
     let report: serde_json::Value = serde_json::from_slice(&fs::read(files.path("r.json")).unwrap()).unwrap();
     assert!(report["form_factors"]["largest_relative_error"].as_f64().unwrap() <= 1e-3);
-    assert_eq!(report["form_factors"]["pairs"]["shadows"], 1);
+    assert_eq!(report["form_factors"]["pairs"]["cells"], 1);
     let run = files.done(&[&base[..], &["--error", "1e-9"]].concat());
     assert_eq!(run.stderr.matches("--error 0.000000001 not met").count(), 1, "{}", run.stderr);
     for bad in ["0", "2", "-1", "x"] {
