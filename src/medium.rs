@@ -155,7 +155,7 @@ impl Media {
     /// By object: rays from the fronts of its glass leave other glass, so that it lies in that, as far as these tell.
     pub(crate) fn nested(&self, visibility: &Visibility) -> Vec<bool> {
         by_object(visibility.scene(), |faces| {
-            let mut ways = self.from_fronts(visibility, faces);
+            let mut ways = self.ways_of_fronts(visibility, faces);
             ways.any(|way| !way.left.is_empty())
         })
     }
@@ -164,7 +164,7 @@ impl Media {
     pub(crate) fn turned_inwards(&self, visibility: &Visibility) -> Vec<bool> {
         by_object(visibility.scene(), |faces| {
             let (mut all, mut enter) = (0, 0);
-            for way in self.from_fronts(visibility, faces) {
+            for way in self.ways_of_fronts(visibility, faces) {
                 all += 1;
                 enter += usize::from(!way.entered.is_empty());
             }
@@ -172,7 +172,7 @@ impl Media {
         })
     }
 
-    fn from_fronts(&self, visibility: &Visibility, faces: &[u32]) -> impl Iterator<Item = Way> {
+    fn ways_of_fronts(&self, visibility: &Visibility, faces: &[u32]) -> impl Iterator<Item = Way> {
         let (fewest, most, each) = OF_OBJECT;
         let rays = (each * faces.len()).clamp(fewest, most);
         (0..rays).map(move |k| {

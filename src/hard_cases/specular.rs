@@ -23,7 +23,9 @@ pub(super) const CASES: &[Case] = &[
     case("glass of ior 0.8", "reflection outside", "furnace", || glass(0.8)),
     case("glass of ior 3", "trapped light", "furnace", || glass(3.0)),
     case("at the critical angle", "square root of a negative number", "furnace", critical),
-    case("camera inside glass", "trapped light", "furnace", || glass_room(GLASS, false, [0.5, 0.5, 0.5])),
+    case("camera inside glass", "trapped light", "furnace", || {
+        glass_room(GLASS, false, ([0.5, 0.5, 0.5], 1.5))
+    }),
     seconds("light only through glass", "no straight connection", "path tracer", || only_by(Way::Glass)),
     seconds("light only by a mirror", "no straight connection", "path tracer", || only_by(Way::Mirror)),
     seconds("light only by a caustic", "no straight connection", "path tracer", || only_by(Way::Bowl)),
@@ -65,8 +67,9 @@ fn mirrors() -> Result<Outcome> {
     solved(&text, 512, Some(0.25), &[("x0", b), ("x1", b), ("y0", b), ("y1", b)])
 }
 
-/// A furnace that holds a body of the given material, or whose ends are made of it: every camera sees E / (1 - rho) / pi.
-fn glass_room(body: &str, ends: bool, eye: Point) -> Result<Outcome> {
+/// A furnace that holds a body of the given material, or whose ends are made of it: every camera sees E / (1 - rho) / pi, and n^2 times
+/// that where it lies in glass of index n.
+fn glass_room(body: &str, ends: bool, (eye, ior): (Point, f64)) -> Result<Outcome> {
     let target = if ends { [0.5, 1.0, 0.5] } else { [0.51, 0.9, 0.47] };
     let mut text = SceneText::new()
         .head(&view(eye, target, 40.0))
@@ -82,7 +85,7 @@ fn glass_room(body: &str, ends: bool, eye: Point) -> Result<Outcome> {
     if !ends {
         text = text.cuboid("body-", |_| "body".into(), [0.31, 0.33, 0.32], [0.4, 0.3, 0.37], false);
     }
-    seen(&text)
+    seen(&text, ior)
 }
 
 /// The surface of glass from inside, all pixels within 1e-7 of the critical angle, over walls that emit n^2 times as much as
@@ -103,20 +106,21 @@ fn critical() -> Result<Outcome> {
             }
         }
     }
-    seen(&text)
+    seen(&text, 1.5)
 }
 
 fn view(eye: Point, target: Point, fov: f64) -> String {
     format!("[camera]\norigin = {eye:?}\ntarget = {target:?}\nup = [0, 0, 1]\nfov = {fov:?}\nsize = [16, 16]")
 }
 
-/// An image of a furnace with E = 1 and rho = 0.5 against its radiance.
-fn seen(text: &SceneText) -> Result<Outcome> {
+/// An image of a furnace with E = 1 and rho = 0.5 against its radiance, from within glass of index `ior`.
+fn seen(text: &SceneText, ior: f64) -> Result<Outcome> {
+    let radiance = 2.0 / PI * ior * ior;
     let image = picture(&text.load()?, Method::TwoPass(Quality::Mesh), 16, (1024, Some(0.25)), 1)?;
-    Ok(match departure(&image, 2.0 / PI) {
+    Ok(match departure(&image, radiance) {
         // Single pixels carry the noise of Russian roulette and of pass 1: the mean must hold to 1 %, pixels to 10 %.
         Outcome::Number { error, .. } => Outcome::Number {
-            error: (mean(&image) / (2.0 / PI) - 1.0).abs().max(0.1 * error),
+            error: (mean(&image) / radiance - 1.0).abs().max(0.1 * error),
             standard_error: 0.0,
         },
         said => said,
@@ -125,7 +129,7 @@ fn seen(text: &SceneText) -> Result<Outcome> {
 
 fn glass(ior: f64) -> Result<Outcome> {
     let body = format!("diffuse = 0.0\nspecular = 0.0\nspecular_transmission = 1.0\nior = {ior:?}");
-    glass_room(&body, false, [0.5, 0.02, 0.5])
+    glass_room(&body, false, ([0.5, 0.02, 0.5], 1.0))
 }
 
 /// A rough floor under a lamp: both passes against the path tracer.

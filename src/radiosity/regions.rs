@@ -36,16 +36,15 @@ pub(super) fn runs(region: &[u32], most: usize) -> (Vec<u16>, usize) {
     let mut order: Vec<u32> = (0..region.len() as u32).collect();
     order.sort_by_key(|e| (Reverse(sizes[&region[*e as usize]]), region[*e as usize]));
     let mut apart = (sizes.len() - 1).min(most / 2);
-    let length = region.len().div_ceil(most - apart);
-    let mut of = vec![0; region.len()];
-    let (mut count, mut full) = (0, 0);
-    for pair in order.windows(2) {
-        let [before, e] = [pair[0], pair[1]].map(|e| e as usize);
-        full += 1;
+    let (slots, n) = (most - apart, region.len());
+    let mut of = vec![0; n];
+    let mut count = 0;
+    for k in 1..n {
+        let [before, e] = [order[k - 1], order[k]].map(|e| e as usize);
         let leaves = region[before] != region[e] && apart > 0;
         apart -= usize::from(leaves);
-        if leaves || full == length {
-            (count, full) = (count + 1, 0);
+        if leaves || k * slots / n > (k - 1) * slots / n {
+            count += 1;
         }
         of[e] = count;
     }
