@@ -12,10 +12,10 @@ use std::f64::consts::PI;
 pub(super) const CASES: &[Case] = &[
     case("closed box with perfect mirrors", "chains without end", "furnace", mirrors),
     case("camera between perfect mirrors", "recursion's limit", "furnace", || {
-        glass_room("diffuse = 0.0\nspecular = 1.0\nroughness = 0.0", true, [0.5, 0.02, 0.5])
+        glass_room("diffuse = 0.0\nspecular = 1.0\nroughness = 0.0", true, ([0.5, 0.02, 0.5], 1.0))
     }),
     case("roughness 1e-4", "a lobe narrower than a float", "furnace", || {
-        glass_room("diffuse = 0.0\nspecular = 1.0\nroughness = 1e-4", false, [0.5, 0.02, 0.5])
+        glass_room("diffuse = 0.0\nspecular = 1.0\nroughness = 1e-4", false, ([0.5, 0.02, 0.5], 1.0))
     }),
     seconds("roughness 1", "lobe and path disagree", "path tracer", rough),
     case("glass of ior 1.5", "total internal reflection", "furnace", || glass(1.5)),
