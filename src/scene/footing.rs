@@ -79,6 +79,9 @@ pub(super) fn divide(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: 
     }
 }
 
+/// A corner, rounded to a lattice.
+type Corner = [i64; 3];
+
 /// Faces that hang together by their edges.
 struct Bodies {
     /// The body of each face.
@@ -94,7 +97,7 @@ struct Bodies {
 impl Bodies {
     fn new(faces: &[Face], outlines: &[Vec<DVec3>], materials: &[Material], near: f64) -> Bodies {
         let weld = |p: DVec3| (p / near.max(f64::MIN_POSITIVE) + SHIFT).floor().to_array().map(|x| x as i64);
-        let mut edges: FxHashMap<[[i64; 3]; 2], Vec<(u32, [DVec3; 2])>> = FxHashMap::default();
+        let mut edges: FxHashMap<[Corner; 2], Vec<(u32, [DVec3; 2])>> = FxHashMap::default();
         for (k, p) in outlines.iter().enumerate() {
             for c in 0..p.len() {
                 let ends = [p[c], p[(c + 1) % p.len()]];
