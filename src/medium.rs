@@ -19,8 +19,8 @@ const OF_SIDE: u32 = 32;
 const OF_POINT: u32 = 128;
 /// Fewest and most rays that tell how an object lies in others, and rays a face between the two.
 const OF_OBJECT: (usize, usize, usize) = (64, 4096, 4);
-/// So many rays that are unsure weigh as much as one that is not: of a room with a window that is no body, few rays meet it.
-const UNSURE: u32 = 3;
+/// So many rays that are unsure weigh as much as one that is not: from the bottom of a basin, few rays meet the water's surface.
+const UNSURE: u32 = 30;
 /// Surfaces on one way at most.
 const LONGEST: u32 = 10_000;
 /// Objects named in a warning.
