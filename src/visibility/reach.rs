@@ -9,8 +9,8 @@
 //! a ray of pass 1 that lands on such a side says so (see `form_factor`).
 //!
 //! Sides that meet over edges of exactly two faces look into one space: they form a **sheet**, such as the inside of a
-//! closed body. Of a sheet that nothing found, [`TRIED`] sides stand for all: they share more
-//! segments than its many sides would get one by one. Once one of them is found, each side is tried.
+//! closed body. Sides of a sheet that nothing found share the segments of one, and of very many [`TRIED`] stand for all.
+//! Once one of them is found, each side is tried by itself.
 
 use super::offset::shared_edges;
 use super::{SurfaceHit, Visibility};
@@ -24,7 +24,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// Rays aimed past edges from all sides that no particle found, and the least and most from one.
+/// Rays aimed past edges from all sides that no particle found, the least from a side and the most from a sheet.
 const AIMED: u32 = 1 << 19;
 const AIMED_OF_ONE: (u32, u32) = (8, 1 << 12);
 /// How far beside an edge they pass, as shares of the scene's radius: narrower gaps are cracks, not openings.
@@ -36,7 +36,7 @@ const PROOF: u32 = 3;
 /// Rays tried from all sides that no particle found, and the least and most from one.
 const RAYS: u32 = 1 << 20;
 const RAYS_OF_ONE: (u32, u32) = (8, 64);
-/// Segments tried from all sides that no particle found, and the least and most from one.
+/// Segments tried from all sides that no particle found, the least from a side and the most from a sheet.
 const SEGMENTS: u32 = 1 << 22;
 const SEGMENTS_OF_ONE: (u32, u32) = (16, 1 << 14);
 /// Points that segments lead to, at most.
@@ -53,10 +53,10 @@ const MOST_PARTICLES: u32 = 1 << 21;
 const MOST_SEEN: u32 = 1 << 19;
 /// Sides tried of a sheet of which none was found.
 const TRIED: u32 = 1 << 10;
-/// Sides not found from which on sheets are looked for.
-const MANY: usize = 1 << 12;
 /// Times that sides just found lead on to others.
 const MOST_ROUNDS: u32 = 4;
+/// Segments and aimed rays that lead on from sides just found: from one side at least, and for each that was found.
+const ONWARD: (u32, u32) = (64, 4);
 /// Witnesses tried from the point where a ray from such a side lands.
 const STEPPING_STONES: u32 = 4;
 
@@ -127,25 +127,29 @@ pub fn reachable_sides(visibility: &Visibility, cameras: &[(CameraFrame, [u32; 2
     Sides(reached)
 }
 
+/// A side that nothing found, and how many of its sheet that are tried too stand for it.
+#[derive(Clone, Copy)]
+struct Missing {
+    side: u32,
+    share: u32,
+}
+
 /// The sides to try of those that nothing found, in order: all, but of large sheets of which none was found a few.
-fn to_try(visibility: &Visibility, reached: &[bool], sheets: &mut Option<Vec<u32>>) -> Vec<u32> {
-    let missing: Vec<u32> = (0..reached.len() as u32).filter(|s| !reached[*s as usize]).collect();
-    if missing.len() <= MANY {
-        return missing;
-    }
-    let sheet = sheets.get_or_insert_with(|| sheets_of(visibility));
+fn to_try(reached: &[bool], sheet: &[u32]) -> Vec<Missing> {
+    let missing = || (0..reached.len()).filter(|s| !reached[*s]);
     // Sides not found by sheet; none where some side was.
     let mut left = vec![0u32; reached.len()];
-    missing.iter().for_each(|s| left[sheet[*s as usize] as usize] += 1);
+    missing().for_each(|s| left[sheet[s] as usize] += 1);
     (0..reached.len()).filter(|s| reached[*s]).for_each(|s| left[sheet[s] as usize] = 0);
     let mut turn = vec![0u32; reached.len()];
-    let chosen = |s: &u32| {
-        let k = sheet[*s as usize] as usize;
+    let chosen = |s: usize| {
+        let k = sheet[s] as usize;
         let every = left[k].div_ceil(TRIED).max(1);
         turn[k] += 1;
-        (turn[k] - 1) % every == 0
+        let share = left[k].div_ceil(every).max(1);
+        ((turn[k] - 1) % every == 0).then_some(Missing { side: s as u32, share })
     };
-    missing.into_iter().filter(chosen).collect()
+    missing().filter_map(chosen).collect()
 }
 
 /// The sheet of every side, named by one of its sides.
@@ -178,25 +182,36 @@ fn connect(visibility: &Visibility, reached: &mut [bool], seen: &[(u32, DVec3)],
             Place { face, point: *p, normal }
         })
         .collect();
+    if reached.iter().all(|r| *r) {
+        return;
+    }
+    let sheet = sheets_of(visibility);
     let mut witnesses = witnesses;
-    let mut sheets = None;
+    let mut most = u32::MAX;
     for _ in 0..MOST_ROUNDS {
-        let tried = to_try(visibility, reached, &mut sheets);
-        let missing = tried.len().max(1) as u32;
-        let segments = (SEGMENTS / missing).clamp(SEGMENTS_OF_ONE.0, SEGMENTS_OF_ONE.1);
-        let rays = (RAYS / missing).clamp(RAYS_OF_ONE.0, RAYS_OF_ONE.1);
-        let aimed = (AIMED / missing).clamp(AIMED_OF_ONE.0, AIMED_OF_ONE.1);
-        let work = Work { rays, segments, aimed, outside };
-        let try_one = |s: u32| Some((s as usize, connects(visibility, s, &witnesses, &work, seed)?));
-        let news: Vec<(usize, Place)> = tried.into_par_iter().filter_map(try_one).collect();
+        let tried = to_try(reached, &sheet);
+        let sheets = tried.iter().map(|m| 1.0 / f64::from(m.share)).sum::<f64>().max(1.0);
+        let share = |all: u32, (least, of_one): (u32, u32), share: u32| {
+            let of_sheet = (f64::from(all) / sheets).min(f64::from(of_one));
+            ((of_sheet / f64::from(share)) as u32).max(least).min(most)
+        };
+        let try_one = |m: Missing| {
+            let work = Work {
+                rays: (RAYS / tried.len() as u32).clamp(RAYS_OF_ONE.0, RAYS_OF_ONE.1),
+                segments: share(SEGMENTS, SEGMENTS_OF_ONE, m.share),
+                aimed: share(AIMED, AIMED_OF_ONE, m.share),
+                outside,
+            };
+            Some((m.side as usize, connects(visibility, m.side, &witnesses, &work, seed)?))
+        };
+        let news: Vec<(usize, Place)> = tried.par_iter().filter_map(|m| try_one(*m)).collect();
         if news.is_empty() {
             return;
         }
-        // What was found only now shows the way to others.
-        for (s, place) in news {
-            reached[s] = true;
-            witnesses.push(place);
-        }
+        // What was found only now shows the way to others; segments to the rest were tried.
+        most = (ONWARD.1 * news.len() as u32).max(ONWARD.0);
+        news.iter().for_each(|(s, _)| reached[*s] = true);
+        witnesses = news.into_iter().map(|(_, place)| place).collect();
     }
 }
 
