@@ -58,7 +58,7 @@ pub fn solve(
 ) -> Result<(Pass1Result, Adapted)> {
     let scene = visibility.scene();
     pipeline::require_light(scene, emitters)?;
-    let size = settings.element_size.unwrap_or_else(|| default_element_size(scene));
+    let size = settings.element_size.unwrap_or_else(|| default_element_size(scene, false));
     let (reached, uniform, mut division) = pipeline::building(stages, || {
         let reached = pipeline::reached(visibility, cameras, settings.seed, observer);
         let mut division = Division::new(scene, &reached, size)?;

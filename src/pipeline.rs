@@ -388,7 +388,12 @@ pub fn without_elements(visibility: &Visibility, mesh: &Mesh, cameras: &[&Camera
 
 /// Sides divided into elements of the settings' size.
 fn uniform_mesh(scene: &Scene, sides: &Sides, settings: &Pass1, with_black: bool) -> Result<Mesh> {
-    Mesh::new(scene, sides, settings.element_size.unwrap_or_else(|| default_element_size(scene)), with_black)
+    Mesh::new(
+        scene,
+        sides,
+        settings.element_size.unwrap_or_else(|| default_element_size(scene, with_black)),
+        with_black,
+    )
 }
 
 /// The sides that light or a camera can reach.

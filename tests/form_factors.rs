@@ -201,7 +201,7 @@ fn discs_of_many_corners() {
     let visibility = Visibility::new(&device, &scene).expect("tree");
     let mesh = Mesh::new(&scene, &Sides::fronts(&scene), 1e9, true).expect("mesh");
     let pairs = unoccluded(&visibility, &mesh, 0, &|_| {}).expect("few elements").table(&scene, &mesh, 0.0);
-    let size = default_element_size(&scene);
+    let size = default_element_size(&scene, true);
     let elements = Mesh::new(&scene, &Sides::fronts(&scene), size, true).expect("mesh").len();
     assert!(elements < 8000, "{elements} elements");
     let rays = table(&scene, size, 1024, 5);

@@ -206,7 +206,8 @@ impl<'a, 's> Pilot<'a, 's> {
     /// Adds the next finer level; `false` where memory forbids it. The first two are needed.
     pub fn refine(&mut self) -> Result<bool> {
         let scene = self.view.visibility.scene();
-        let element_size = COARSEST * default_element_size(scene) * 0.5f64.powi(self.levels.len() as i32);
+        let element_size =
+            COARSEST * default_element_size(scene, false) * 0.5f64.powi(self.levels.len() as i32);
         let rays_each = self.rays_of(Mesh::uniform_len(scene, &self.view.reached, element_size) as f64);
         let mut stages: Vec<Stage> = Vec::new();
         let mut solve = |run| {

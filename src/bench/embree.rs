@@ -45,7 +45,7 @@ const AS_THE_STAGE: Call = Call { width: Width::Sixteen, sorted: true, coherent:
 fn scene(context: &Context, name: &str) -> Result<(Subject, Vec<Figure>)> {
     let scene = embedded(name)?;
     let visibility = Visibility::new(context.device, &scene)?;
-    let size = context.choose(3.0, 2.0) * default_element_size(&scene);
+    let size = context.choose(3.0, 2.0) * default_element_size(&scene, true);
     let mesh = Mesh::new(&scene, &Sides::fronts(&scene), size, true)?;
     let rays = context.choose(256, 1024);
     let mut subject = Subject::new(

@@ -171,7 +171,7 @@ fn default_size(args: &FormFactorArgs, scene: &Scene, sides: &Sides, rays: u32) 
         }
         FactorMethodArg::Analytic | FactorMethodArg::Ray | FactorMethodArg::Hemicube => None,
     };
-    Ok(size.unwrap_or_else(|| default_element_size(scene)))
+    Ok(size.unwrap_or_else(|| default_element_size(scene, true)))
 }
 
 /// Whether factors take hemisphere rays because of specular surfaces. Where nothing is specular no chain begins.

@@ -18,7 +18,7 @@ pub fn run(args: &InfoArgs) -> Result<()> {
     let device = Device::new(rayon::current_num_threads())?;
     let visibility = Visibility::new(&device, &scene)?;
     let reached = pipeline::reached(&visibility, &scene.view_points(), args.common.seed, &|_| {});
-    let size = element_size(&args.elements, &scene).unwrap_or_else(|| default_element_size(&scene));
+    let size = element_size(&args.elements, &scene).unwrap_or_else(|| default_element_size(&scene, false));
     let mesh =
         Mesh::new(&scene, &reached, size, false).map_err(|e| of_element_size(&args.elements, &scene, e))?;
     let mut lines = describe_scene(&scene);

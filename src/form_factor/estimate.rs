@@ -72,7 +72,7 @@ fn most_by_pairs(rays: u32) -> usize {
 /// The default size makes more elements than a mesh may have.
 pub fn size_for_pairs(scene: &Scene, sides: &Sides, rays: u32, asked: bool) -> Result<Option<f64>> {
     let most = most_by_pairs(rays);
-    let mut size = default_element_size(scene);
+    let mut size = default_element_size(scene, true);
     let mut mesh = Mesh::new(scene, sides, size, true)?;
     if !has_few_surfaces(&mesh, scene) {
         return Ok(None);

@@ -142,7 +142,7 @@ impl Division {
         if finest.is_nan() || finest <= 0.0 {
             return Err(Error::Usage(format!("element size {finest} m: must be above zero")));
         }
-        let wanted = lattices(scene, finest);
+        let wanted = lattices(scene, finest, false);
         let mut bases: Vec<Lattice> = wanted.iter().map(coarsest).collect();
         agree(scene, &mut bases);
         let face = |(k, (base, wanted)): (usize, (&Lattice, &Lattice))| {

@@ -87,17 +87,33 @@ pub struct Mesh {
     adaptive: bool,
 }
 
-/// An element size fit for the scene's extent: a fixed share of the square root of its area.
+/// An element size \[m\] fit for the scene's extent: a fixed share of the square root of the area on which light is exchanged
+/// diffusely. A sun that is far away, or water all around, takes part in it only `with_black` ([`Mesh::new`]).
 ///
 /// The share makes about 5,000 elements of a simple room.
-pub fn default_element_size(scene: &Scene) -> f64 {
-    let area: f64 = scene.faces.iter().map(|f| f.area).sum();
+pub fn default_element_size(scene: &Scene, with_black: bool) -> f64 {
+    let area = |f: &Face| if is_divided(scene, f, with_black) { f.area } else { 0.0 };
+    let exchanging: f64 = scene.faces.iter().map(area).sum();
+    let whole = || scene.faces.iter().map(|f| f.area).sum();
+    let area: f64 = if exchanging > 0.0 { exchanging } else { whole() };
     (area / 3000.0).sqrt()
 }
 
-/// The lattices of all faces whose cell edges are at most `size` \[m\], made to agree where faces meet.
-fn lattices(scene: &Scene, size: f64) -> Vec<Lattice> {
-    let mut lattices: Vec<Lattice> = scene.faces.iter().map(|f| Lattice::of(scene, f, size)).collect();
+/// Whether a face has more than one element on a side: light is uniform on one that only emits it.
+fn is_divided(scene: &Scene, face: &Face, with_black: bool) -> bool {
+    with_black || scene.material(face).is_diffuse()
+}
+
+/// The lattice of a face whose cell edges are at most `size` \[m\] long.
+fn lattice(scene: &Scene, face: &Face, size: f64, with_black: bool) -> Lattice {
+    let size = if is_divided(scene, face, with_black) { size } else { f64::MAX };
+    Lattice::of(scene, face, size)
+}
+
+/// The lattices of all faces, made to agree where faces meet.
+fn lattices(scene: &Scene, size: f64, with_black: bool) -> Vec<Lattice> {
+    let mut lattices: Vec<Lattice> =
+        scene.faces.iter().map(|f| lattice(scene, f, size, with_black)).collect();
     agree(scene, &mut lattices);
     lattices
 }
@@ -128,25 +144,25 @@ impl Mesh {
     /// Divides the given sides of a scene's faces into cells with edges of at most `element_size` \[m\].
     ///
     /// Sides whose material neither reflects nor transmits diffusely get no elements unless
-    /// `with_black` asks for them (form factors do not care for materials).
+    /// `with_black` asks for them (form factors do not care for materials), and those that only emit have one a face.
     pub fn new(scene: &Scene, sides: &Sides, element_size: f64, with_black: bool) -> Result<Mesh> {
         if element_size.is_nan() || element_size <= 0.0 {
             return Err(Error::Usage(format!("element size {element_size} m: must be above zero")));
         }
-        let grids = lattices(scene, element_size).into_iter().map(Grid::from).collect();
+        let grids = lattices(scene, element_size, with_black).into_iter().map(Grid::from).collect();
         Mesh::of_grids(scene, sides, (element_size, false), grids, with_black)
     }
 
     /// Fewer and more even cells than those of [`Mesh::new`] on the sides of another mesh; their nodes need not coincide where
     /// faces meet: no field is interpolated between them.
     pub(crate) fn patches(scene: &Scene, sides: &Sides, size: f64) -> Result<Mesh> {
-        let grids = scene.faces.iter().map(|f| Lattice::of(scene, f, size).into()).collect();
+        let grids = scene.faces.iter().map(|f| lattice(scene, f, size, false).into()).collect();
         Mesh::of_grids(scene, sides, (size, false), grids, true)
     }
 
     /// How many elements [`Mesh::new`] would make of the sides that reflect, transmit or emit, without making them.
     pub fn uniform_len(scene: &Scene, sides: &Sides, element_size: f64) -> u64 {
-        let lattices = lattices(scene, element_size);
+        let lattices = lattices(scene, element_size, false);
         let elements = |(k, (face, lattice)): (usize, (&Face, &Lattice))| {
             let used =
                 |front: &bool| sides.contains(k as u32, *front) && takes_part(scene, face, *front, false);
