@@ -92,7 +92,7 @@ pub fn solve(
         let enough = pipeline::building(stages, || -> Result<bool> {
             let s = &result.solution;
             let Some(importance) = &result.importance else { return Ok(true) };
-            let judge = Judge::new(s, importance, reads);
+            let judge = Judge::new(s, importance, emitters, reads);
             let errors = judge.elements(&division);
             let sent: Vec<f64> = errors.iter().map(|[u, v]| u.sent + v.sent).collect();
             too_large = radiosity::too_large(scene, s, &sent, !views.is_empty());

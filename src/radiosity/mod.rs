@@ -187,10 +187,10 @@ pub fn solve(
     let indirect: Vec<Rgb> = (0..n).map(|e| reflected[e] - direct[e] - image[e] - mapped[e]).collect();
     let nodes = Nodes::new(scene, &mesh);
     let standard_error = replicas.by_element(scene, &mesh, transport, open);
-    let field = |values: &[Rgb]| {
-        let noise = |e: usize| color::mean(standard_error[e]) * share_of_error(values[e], reflected[e]);
-        Field::noisy(&mesh, &nodes, open, values, &noise)
+    let noisy = |values: &[Rgb], share: &dyn Fn(usize) -> f64| {
+        Field::noisy(&mesh, &nodes, open, values, &|e| color::mean(standard_error[e]) * share(e))
     };
+    let field = |values: &[Rgb]| noisy(values, &|e| share_of_error(values[e], reflected[e]));
     let has_caustic = chain.iter().any(|c| c.max_element() > 0.0);
     let radiosity: Vec<Rgb> = emitted.iter().zip(&reflected).map(|(e, r)| *e + *r).collect();
     Ok(Solution {
@@ -208,7 +208,7 @@ pub fn solve(
         objects: replicas.by_object(scene, &mesh, transport, &radiosity, open),
         radiosity,
         reflected: field(&reflected),
-        indirect: field(&indirect),
+        indirect: if emitters.are_few() { noisy(&indirect, &|_| 1.0) } else { field(&indirect) },
         caustic: has_caustic.then(|| field(&chain)),
         standard_error,
         caustic_map: light.particles.and_then(|p| p.map),
@@ -239,7 +239,8 @@ pub fn solve_irradiance(
     solve::solve(&exchange, transport, &acceleration, incident, None, tolerance)
 }
 
-/// Of the standard error of all reflected light of an element, the share of a part of that light (0 to 1).
+/// Of the standard error of all reflected light of an element, the share of a part of that light (0 to 1). Of few emitters
+/// ([`Emitters::are_few`]) straight light has next to none, and what rows bring all of it.
 fn share_of_error(part: Rgb, all: Rgb) -> f64 {
     match color::mean(all) {
         whole if whole > 0.0 => (color::mean(part) / whole).clamp(0.0, 1.0),

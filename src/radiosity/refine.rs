@@ -14,6 +14,7 @@
 
 use super::{Field, Importance, Solution, share_of_error};
 use crate::color::{self, Rgb};
+use crate::emitters::Emitters;
 use crate::mesh::{CellFrame, Division, NONE, Siblings};
 use glam::DVec2;
 use rayon::prelude::*;
@@ -81,13 +82,20 @@ pub struct Judge<'a> {
     importance: &'a Importance,
     /// What pictures show.
     field: &'a Field,
+    /// All of the standard error is that of what pictures show.
+    all_noise: bool,
     /// What sent power is worth.
     worth: Field,
 }
 
 impl Judge<'_> {
     /// Of elements and what they are worth.
-    pub fn new<'a>(solution: &'a Solution, importance: &'a Importance, reads: Reads) -> Judge<'a> {
+    pub fn new<'a>(
+        solution: &'a Solution,
+        importance: &'a Importance,
+        emitters: &Emitters,
+        reads: Reads,
+    ) -> Judge<'a> {
         let mesh = &solution.mesh;
         let field = match reads {
             Reads::Reflected => &solution.reflected,
@@ -95,7 +103,8 @@ impl Judge<'_> {
         };
         let open: Vec<f64> = (0..mesh.len()).map(|e| importance.area[e] / mesh.area(e as u32)).collect();
         let worth = Field::new(mesh, &solution.nodes, &open, &importance.sent);
-        Judge { solution, importance, field, worth }
+        let all_noise = reads == Reads::Reflected || emitters.are_few();
+        Judge { solution, importance, field, all_noise, worth }
     }
 
     /// The errors of all elements for want of division along either edge of their cells; those of a triangle, which are divided along
@@ -178,7 +187,8 @@ impl Judge<'_> {
         }
         let shown = self.read(self.field, part.side, centroid);
         let variance = |e: usize| {
-            let share = share_of_error(shown, solution.reflected_radiosity(e));
+            let share =
+                if self.all_noise { 1.0 } else { share_of_error(shown, solution.reflected_radiosity(e)) };
             color::mean(solution.standard_error[e] * solution.standard_error[e]) * share.powi(2)
         };
         let noise = elements().map(variance).sum::<f64>() / (part.members.len() as f64).powi(2);
