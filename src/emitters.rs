@@ -7,11 +7,10 @@
 //! Radiance everywhere is radiance over index squared ([`crate::bsdf`]), that of an emitter embedded in glass
 //! too: its power is what its material says, and of the radiance inside, `1 / n^2` is seen from outside.
 
-use crate::bsdf::MIRROR_ALPHA;
 use crate::color::{self, Rgb};
 use crate::medium::Media;
 use crate::mesh::side_index;
-use crate::scene::{FaceFrame, Scene};
+use crate::scene::{FaceFrame, MIRROR_ALPHA, Scene};
 use crate::visibility::Visibility;
 use glam::{DVec3, Vec3};
 use std::collections::BTreeMap;

@@ -3,12 +3,12 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use twopass::bench::record::{
-    Chart, Figure, GroupRecord, Machine, PARAMETER, Picture, Series, Strip, Subject, Suite, Unit,
-};
 use twopass::bench::{self, Context, Files, Group, Settings};
 use twopass::embree::Device;
 use twopass::image::png;
+use twopass::report::record::{
+    Chart, Figure, GroupRecord, Machine, PARAMETER, Picture, Series, Strip, Subject, Suite, Unit,
+};
 use twopass::report::{markdown, suite};
 
 /// Two methods whose errors fall with the root of their time, one of them below what the reference tells.

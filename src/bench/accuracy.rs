@@ -1,12 +1,12 @@
 //! Images of a given error (`--error`): how wrong they are indeed, and what they say.
 
-use super::record::{Chart, Figure, PARAMETER, Subject, Unit};
 use super::view::{FIRST, View, settings, with_view};
 use super::{Context, Measurements};
 use crate::Result;
 use crate::accuracy::{self, render_to_error};
 use crate::pipeline;
 use crate::render::{Method, Quality};
+use crate::report::record::{Chart, Figure, PARAMETER, Subject, Unit};
 use std::time::Instant;
 
 const TRUE: &str = "true error";

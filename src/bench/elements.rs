@@ -1,6 +1,5 @@
 //! Uniform and adaptive elements: how wrong quality `mesh` is with how many of them, after how long.
 
-use super::record::{Chart, Figure, Subject, Unit};
 use super::reference::Reference;
 use super::view::{ERROR, View, settings, with_view};
 use super::{Context, Measurements};
@@ -10,6 +9,7 @@ use crate::image::relative_rmse_of_halves;
 use crate::pipeline::{self, Pass1};
 use crate::radiosity::{Reads, Solution};
 use crate::render::{Method, Quality};
+use crate::report::record::{Chart, Figure, Subject, Unit};
 use std::time::Instant;
 
 const ELEMENTS: &str = "elements";

@@ -1,11 +1,11 @@
 //! Embree alone, and the form-factor stage beside it on the same rays.
 
-use super::record::{Chart, Figure, PARAMETER, Subject, Unit};
 use super::{Context, Measurements, embedded, pool, rounds, thread_counts, threads_in_words};
 use crate::Result;
 use crate::embree::{Queries, Ray, Width};
 use crate::form_factor::{AtSpecular, Casting, cast, packets_of};
 use crate::mesh::{Mesh, Sides, default_element_size};
+use crate::report::record::{Chart, Figure, PARAMETER, Subject, Unit};
 use crate::sampling::{SobolTable, seed_of};
 use crate::scene::Features;
 use crate::visibility::Visibility;

@@ -1,10 +1,10 @@
 //! The references, against another renderer's images of the same scenes.
 
 use super::Context;
-use super::record::{Subject, Unit};
 use super::reference::reference;
 use crate::emitters::Emitters;
 use crate::image::{Image, read_exr, read_mask_npy, relative_rmse_of_halves};
+use crate::report::record::{Subject, Unit};
 use crate::scene::load;
 use crate::visibility::Visibility;
 use crate::{Error, Result};

@@ -1,9 +1,9 @@
 //! Frames a second where the solution of pass 1 is kept: tracing, shading, encoding and writing together.
 
-use super::record::{Chart, PARAMETER, Subject, Unit};
 use super::view::{ERROR, SPP, View, pass1, settings};
 use crate::image::{self, WriteOptions};
 use crate::render::{Method, Quality, Renderer};
+use crate::report::record::{Chart, PARAMETER, Subject, Unit};
 use crate::scene::Camera;
 use crate::sequence::render_frames;
 use crate::{Error, Result};

@@ -1,9 +1,9 @@
 //! The suite of hard cases as a group: what breaks elsewhere, the program's error and its time.
 
-use super::record::{Figure, Subject, Unit};
 use super::{Context, Measurements};
 use crate::Result;
 use crate::hard_cases::{Case, Measured, Outcome, Pace, cases};
+use crate::report::record::{Figure, Subject, Unit};
 
 /// Error of the program, relative to the answer.
 const ERROR: &str = "error";

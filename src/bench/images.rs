@@ -3,7 +3,6 @@
 use super::foreign::references;
 use super::frames::frames;
 use super::pictures::{Kept, pictures};
-use super::record::{Chart, Figure, PARAMETER, Point, Subject, Unit};
 use super::reference::sees_specular;
 use super::view::{ERROR, FIRST, FLIP, NEXT, SPP, View, pass1, settings, with_view};
 use super::{Context, Measurements};
@@ -11,6 +10,7 @@ use crate::Result;
 use crate::pipeline::Pass1;
 use crate::radiosity::Solution;
 use crate::render::{Estimator, Method, Quality, Settings};
+use crate::report::record::{Chart, Figure, PARAMETER, Point, Subject, Unit};
 
 pub fn run(context: &Context) -> Result<Measurements> {
     let mut found = Measurements::default();

@@ -1,7 +1,7 @@
 //! Where and when a suite runs.
 
 use super::Context;
-use super::record::Machine;
+use crate::report::record::Machine;
 use crate::report::{Versions, command_line};
 use std::time::SystemTime;
 

@@ -1,8 +1,8 @@
 //! Memory of whole runs of the program, each in a process of its own.
 
-use super::record::{Chart, Figure, PARAMETER, Subject, Unit};
 use super::scenes::write_embedded;
 use super::{Context, Measurements};
+use crate::report::record::{Chart, Figure, PARAMETER, Subject, Unit};
 use crate::{Error, Result};
 use serde_json::Value;
 use std::path::Path;
@@ -67,7 +67,7 @@ pub fn run(context: &Context) -> Result<Measurements> {
 }
 
 /// Bytes for each element beyond the smallest scene's, by run.
-fn per_element(series: &super::record::Series) -> Option<Vec<f64>> {
+fn per_element(series: &crate::report::record::Series) -> Option<Vec<f64>> {
     let (first, last) = (series.points.first()?, series.points.last()?);
     let more = last.parameter - first.parameter;
     let pairs = first.get(PEAK)?.samples.iter().zip(&last.get(PEAK)?.samples);

@@ -2,7 +2,6 @@
 //! under each, and what directions cost where reflections are sharp.
 
 use super::pictures::{exposure, side_by_side};
-use super::record::{Chart, Figure, PARAMETER, Picture, Series, Strip, Subject, Unit};
 use super::reference::{Reference, reference, sees_specular};
 use super::scenes::{Glossy, glossy_cornell};
 use super::view::{ERROR, FIRST, Frame, SPP, View, settings};
@@ -12,6 +11,7 @@ use crate::emitters::Emitters;
 use crate::image::{Image, png, srgb_bytes};
 use crate::pipeline::{self, Pass1};
 use crate::render::{Method, Quality, render_directional};
+use crate::report::record::{Chart, Figure, PARAMETER, Picture, Series, Strip, Subject, Unit};
 use crate::report::text;
 use crate::visibility::Visibility;
 use std::time::Instant;

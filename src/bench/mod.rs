@@ -2,12 +2,12 @@
 //!
 //! A **group** measures one thing about the program on a few **subjects** (scenes or cases). A subject holds
 //! **series** (one a method), a series **points** (one a setting), and a point keeps every sample of every
-//! quantity ([`record`]). [`crate::report`] turns that into CSV, JSON, Markdown and HTML.
+//! quantity ([`crate::report::record`]). [`crate::report`] turns that into CSV, JSON, Markdown and HTML.
 //!
 //! **How to add a group:** write `src/bench/NAME.rs` with a function `run(&Context) -> Result<Measurements>`, add a
 //! variant to [`Group`] with its name, title and explanation, and a line to `Group::run`. Everything else follows: the
 //! command line, the records, the tables and the report. Quantities are made by naming them in
-//! [`Point::push`](record::Point::push). A subject's [`Chart`](record::Chart)s say which of them to draw.
+//! [`Point::push`](crate::report::record::Point::push). A subject's [`Chart`](crate::report::record::Chart)s say which of them to draw.
 //!
 //! **How to measure:** whatever enters a ratio is measured in turn within one process, round by round, after a
 //! round that does not count ([`rounds`]). Every round has a seed of its own, so the spread of an error is its spread
@@ -26,7 +26,6 @@ mod memory;
 mod methods;
 mod pictures;
 mod radiosity;
-pub mod record;
 pub mod reference;
 mod scaling;
 mod scenes;
@@ -36,8 +35,8 @@ pub use machine::machine;
 pub use scenes::{Files, Glossy, SCENES, embedded, glossy_cornell};
 
 use crate::embree::Device;
+use crate::report::record::{Figure, GroupRecord, Subject, Suite};
 use crate::{Error, Result};
-use record::{Figure, GroupRecord, Subject, Suite};
 use std::path::PathBuf;
 use std::time::Instant;
 

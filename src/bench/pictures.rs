@@ -1,6 +1,5 @@
 //! Strips of pictures: every method after about the same time, and its errors in false colours.
 
-use super::record::{Picture, Strip, Subject};
 use super::reference::Reference;
 use super::view::{ERROR, View};
 use crate::Result;
@@ -8,6 +7,7 @@ use crate::color;
 use crate::image::canvas::{BLACK, Canvas, LETTER, WHITE};
 use crate::image::{Image, error_within, mean_image, png, signed_difference, srgb_bytes};
 use crate::render::{Method, Quality};
+use crate::report::record::{Picture, Strip, Subject};
 
 /// A picture of the first round with what it cost, for the strips.
 pub(super) struct Kept {

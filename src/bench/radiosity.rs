@@ -1,6 +1,5 @@
 //! Pass 1 against exact cases, and the solver's time against its residual.
 
-use super::record::{Chart, Figure, PARAMETER, Subject, Unit};
 use super::{Context, Files, Measurements, rounds};
 use crate::color::Rgb;
 use crate::emitters::Emitters;
@@ -8,6 +7,7 @@ use crate::form_factor::{AtSpecular, Casting, cast};
 use crate::mesh::{Mesh, Sides};
 use crate::pipeline::{self, Pass1};
 use crate::radiosity::{Solution, Transport, solve_irradiance};
+use crate::report::record::{Chart, Figure, PARAMETER, Subject, Unit};
 use crate::scene::Scene;
 use crate::visibility::Visibility;
 use crate::{Error, Result};

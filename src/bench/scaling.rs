@@ -1,10 +1,10 @@
 //! Time, rate and memory over the number of elements, on one thread and on all.
 
-use super::record::{Chart, Figure, PARAMETER, Subject, Unit};
 use super::{Context, Measurements, embedded, pool, thread_counts, threads_in_words};
 use crate::Result;
 use crate::emitters::Emitters;
 use crate::pipeline::{self, Pass1, Stage};
+use crate::report::record::{Chart, Figure, PARAMETER, Subject, Unit};
 use crate::visibility::Visibility;
 
 /// Rays an element.

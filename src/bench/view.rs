@@ -1,7 +1,6 @@
 //! One view of a scene, rendered over and over and compared with its reference.
 
 use super::pictures::exposure;
-use super::record::{Subject, Unit};
 use super::reference::{Reference, path_settings, reference_of};
 use super::{Context, embedded};
 use crate::Result;
@@ -10,6 +9,7 @@ use crate::image::{Comparison, Difference, Image, Options, relative_rmse_halves}
 use crate::pipeline::{self, Pass1};
 use crate::radiosity::Solution;
 use crate::render::{Estimator, GATHER_RAYS, Method, Settings, render};
+use crate::report::record::{Subject, Unit};
 use crate::scene::{Camera, Scene};
 use crate::visibility::Visibility;
 use std::time::Instant;

@@ -16,11 +16,9 @@ pub mod ggx;
 
 use crate::color::{self, Rgb};
 use crate::geometry::{Frame, reflect};
-use crate::scene::Material;
+use crate::scene::{MIRROR_ALPHA, Material};
 use glam::DVec3;
 
-/// Below this GGX width a lobe is a perfect mirror: its angular size is below f32's resolution.
-pub const MIRROR_ALPHA: f64 = 1e-4;
 /// Indices closer than this are the same medium: nothing is reflected or bent.
 const MATCHED: f64 = 1e-7;
 

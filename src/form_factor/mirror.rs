@@ -9,12 +9,11 @@
 
 use super::matrix::{ExchangeMatrix, RowSummary};
 use super::rows::Builder;
-use crate::bsdf::MIRROR_ALPHA;
 use crate::color::{self, Rgb};
 use crate::geometry::Frame;
 use crate::mesh::{Mesh, NONE};
 use crate::sampling::{MAX_POINTS, cosine_hemisphere, seed_of, sobol};
-use crate::scene::Scene;
+use crate::scene::{MIRROR_ALPHA, Scene};
 use crate::visibility::Visibility;
 use crate::{Error, Result};
 use glam::{DMat3, DVec3};

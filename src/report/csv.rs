@@ -1,6 +1,6 @@
 //! Every sample of a suite, one a line.
 
-use crate::bench::record::Suite;
+use crate::report::record::Suite;
 use crate::{Error, Result};
 use serde::Serialize;
 
@@ -13,7 +13,7 @@ struct Line<'a> {
     parameter: &'a str,
     at: f64,
     quantity: &'a str,
-    unit: crate::bench::record::Unit,
+    unit: crate::report::record::Unit,
     /// The error here is smaller than the reference can tell.
     unresolved: bool,
     /// Which run, from 0.

@@ -2,7 +2,7 @@
 
 use super::{markdown, plot, text};
 use crate::Result;
-use crate::bench::record::{GroupRecord, Strip, Subject, Suite};
+use crate::report::record::{GroupRecord, Strip, Subject, Suite};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use std::fmt::Write;

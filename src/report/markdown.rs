@@ -1,7 +1,7 @@
 //! Tables of a suite in Markdown, and their places in other files.
 
 use super::text;
-use crate::bench::record::{GroupRecord, Point, Series, Subject, Suite};
+use crate::report::record::{GroupRecord, Point, Series, Subject, Suite};
 use crate::{Error, Result};
 use std::fmt::Write;
 use std::path::Path;
@@ -134,7 +134,7 @@ pub fn table(subject: &Subject, choice: &Choice) -> String {
 
 /// A parameter's value with its name; the name alone where there is nothing to vary.
 pub fn parameter(value: f64, name: &str) -> String {
-    let number = text::value(value, crate::bench::record::Unit::Count);
+    let number = text::value(value, crate::report::record::Unit::Count);
     if name.is_empty() { String::new() } else { format!("{name}: {number}") }
 }
 

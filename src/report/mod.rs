@@ -5,6 +5,7 @@ pub mod csv;
 pub mod html;
 pub mod markdown;
 pub mod plot;
+pub mod record;
 pub mod suite;
 pub(crate) mod text;
 

@@ -1,7 +1,7 @@
 //! Charts as SVG, on logarithmic axes.
 
 use super::text;
-use crate::bench::record::{Chart, GroupRecord, PARAMETER, Series, Subject, Summary, Unit};
+use crate::report::record::{Chart, GroupRecord, PARAMETER, Series, Subject, Summary, Unit};
 use crate::{Error, Result};
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -43,7 +43,7 @@ fn dots(series: &Series, chart: &Chart) -> Vec<Dot> {
     if !chart.shows(series) {
         return Vec::new();
     }
-    let dot = |p: &crate::bench::record::Point| {
+    let dot = |p: &crate::report::record::Point| {
         let (x, y) = (p.summary(&chart.x)?, p.summary(&chart.y)?);
         (x.low > 0.0 && y.median > 0.0).then_some(Dot { x, y, unresolved: p.unresolved })
     };

@@ -1,8 +1,8 @@
 //! The files of a suite: `bench.json` and `bench.csv` with every sample, `report.md`, `report.html`, plots and pictures.
 
 use super::{csv, html, markdown, plot};
-use crate::bench::record::{Picture, Suite};
 use crate::output::write_whole;
+use crate::report::record::{Picture, Suite};
 use crate::{Error, Result};
 use std::fs;
 use std::path::Path;

@@ -1,6 +1,6 @@
 //! Numbers as people read them.
 
-use crate::bench::record::{Measured, Suite, Summary, Unit};
+use crate::report::record::{Measured, Suite, Summary, Unit};
 
 /// A value in its unit, to three significant digits.
 pub fn value(x: f64, unit: Unit) -> String {

@@ -5,6 +5,9 @@ use crate::color::{self, Rgb};
 /// Larger radiances, or sums of them, would leave the range of single precision, in which images are written [W m^-2 sr^-1].
 pub(super) const MOST_RADIANCE: f64 = 1e30;
 
+/// Below this GGX width a lobe is a perfect mirror: its angular size is below f32's resolution.
+pub const MIRROR_ALPHA: f64 = 1e-4;
+
 /// How a surface reflects, transmits and emits. All albedos are products of the paper's
 /// `k` and `rho` (DESIGN section 2) and sum to at most 1 in each channel.
 #[derive(Debug, Clone, PartialEq)]
@@ -110,12 +113,12 @@ impl Material {
     /// Reflects or refracts over a lobe that has a width.
     pub fn is_glossy(&self) -> bool {
         let spreads = self.specular != Rgb::ZERO || (self.is_glass() && self.ior != 1.0);
-        spreads && self.alpha() >= crate::bsdf::MIRROR_ALPHA
+        spreads && self.alpha() >= MIRROR_ALPHA
     }
 
     /// Reflects or refracts in one direction only, as a mirror, clear glass or a thin window does.
     pub fn has_perfect_lobe(&self) -> bool {
-        let smooth = self.alpha() < crate::bsdf::MIRROR_ALPHA;
+        let smooth = self.alpha() < MIRROR_ALPHA;
         self.is_specular() && (smooth || (self.is_glass() && self.ior == 1.0))
     }
 

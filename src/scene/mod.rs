@@ -27,7 +27,7 @@ pub use camera::{Camera, CameraFrame, within_size};
 pub use features::Features;
 pub use frame::{FaceFrame, from_affine, from_halves};
 pub use load::load;
-pub use material::Material;
+pub use material::{MIRROR_ALPHA, Material};
 pub use path::CameraPath;
 
 use crate::color::Rgb;

@@ -1,8 +1,8 @@
 //! Who is faster at equal error, and why: computed from the records.
 
 use super::{DIRECTIONS, Method, RADIOSITY, RMS, TIME, series_name};
-use crate::bench::record::{Chart, Figure, PARAMETER, Point, Subject, Unit};
 use crate::bench::{Context, Measurements, threads_in_words};
+use crate::report::record::{Chart, Figure, PARAMETER, Point, Subject, Unit};
 use crate::report::text;
 
 /// RMS errors at which methods are compared.

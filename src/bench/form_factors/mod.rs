@@ -5,7 +5,6 @@ mod compare;
 mod light;
 mod truth;
 
-use super::record::{Chart, PARAMETER, Subject, Unit};
 use super::{Context, Measurements, pool, thread_counts, threads_in_words};
 use crate::Result;
 use crate::form_factor::pairs::{PairFactors, PairWork};
@@ -14,6 +13,7 @@ use crate::form_factor::{
     cast_random, cast_rows, correct, estimate, hemicube,
 };
 use crate::pipeline::BATCHES;
+use crate::report::record::{Chart, PARAMETER, Subject, Unit};
 use crate::visibility::Visibility;
 use cases::{Answer, Configuration, configurations};
 use light::Light;

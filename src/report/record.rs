@@ -1,4 +1,4 @@
-//! What a benchmark leaves behind: plain data, every sample kept. Files are made of it by [`crate::report`].
+//! What a benchmark leaves behind: plain data, every sample kept. The modules beside this one make files of it.
 
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
