@@ -18,6 +18,8 @@ use std::f64::consts::PI;
 
 /// With more mirror planes than this (a faceted ball, say) images are not worth their cost.
 const MAX_MIRRORS: usize = 32;
+/// Cells along a mirror plane at most: slender faces lie in many.
+const MOST_CELLS: f64 = 64.0;
 /// A receiver this near to a mirror's plane, as a share of the scene's radius, is part of it.
 const ON_MIRROR: f64 = 1e-9;
 const NONE: u32 = u32::MAX;
@@ -56,6 +58,76 @@ struct MirrorPlane {
     normal: DVec3,
     offset: f64,
     faces: Vec<u32>,
+    cells: Cells,
+}
+
+/// A grid over the faces of one plane: a mirror may be of very many.
+#[derive(Debug, Clone, Default)]
+struct Cells {
+    /// Vectors in the plane by which places become cells [m^-1].
+    axes: [DVec3; 2],
+    /// What the first cell begins at, in cells.
+    low: [f64; 2],
+    count: [usize; 2],
+    /// Where the faces of each cell begin, and the end.
+    first: Vec<u32>,
+    faces: Vec<u32>,
+}
+
+impl Cells {
+    /// About as many cells as faces.
+    fn new(scene: &Scene, normal: DVec3, faces: &[u32]) -> Cells {
+        let (u, v) = normal.any_orthonormal_pair();
+        let bounds = |f: u32, axis: DVec3| {
+            let along = (0..4).map(|k| scene.corner(&scene.faces[f as usize], k).dot(axis));
+            along.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)])
+        };
+        let whole = [u, v].map(|axis| {
+            let both = faces.iter().map(|f| bounds(*f, axis));
+            both.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], [c, d]| [a.min(c), b.max(d)])
+        });
+        let [width, height] = whole.map(|[a, b]| (b - a).max(f64::MIN_POSITIVE));
+        let along = |l: f64, across: f64| {
+            let count = (faces.len() as f64 * l / across).sqrt().ceil();
+            count.clamp(1.0, MOST_CELLS) as usize
+        };
+        let count = [along(width, height), along(height, width)];
+        let scale = [count[0] as f64 / width, count[1] as f64 / height];
+        let mut cells = Cells {
+            axes: [u * scale[0], v * scale[1]],
+            low: [whole[0][0] * scale[0], whole[1][0] * scale[1]],
+            count,
+            first: Vec::new(),
+            faces: Vec::new(),
+        };
+        let mut within: Vec<Vec<u32>> = vec![Vec::new(); count[0] * count[1]];
+        for f in faces {
+            // A little wider than the face: a place on its edge may fall into the next cell.
+            let [x, y] = [0, 1].map(|k| {
+                let [a, b] = bounds(*f, cells.axes[k]).map(|x| x - cells.low[k]);
+                cells.index(k, a - 1e-6)..=cells.index(k, b + 1e-6)
+            });
+            y.for_each(|y| x.clone().for_each(|x| within[y * count[0] + x].push(*f)));
+        }
+        cells.first = vec![0];
+        for faces in within {
+            cells.faces.extend(faces);
+            cells.first.push(cells.faces.len() as u32);
+        }
+        cells
+    }
+
+    /// The cell along an axis at a distance from the first one's beginning, in cells.
+    fn index(&self, axis: usize, place: f64) -> usize {
+        (place.max(0.0) as usize).min(self.count[axis] - 1)
+    }
+
+    /// The faces, in order, on which a place of the plane may be.
+    fn near(&self, place: DVec3) -> &[u32] {
+        let [x, y] = [0, 1].map(|k| self.index(k, place.dot(self.axes[k]) - self.low[k]));
+        let cell = y * self.count[0] + x;
+        &self.faces[self.first[cell] as usize..self.first[cell + 1] as usize]
+    }
 }
 
 /// A point on an emitter.
@@ -244,7 +316,7 @@ impl Emitters {
             let Some(connection) = connect(point, normal, &image) else { continue };
             let window = point + (image.point - point) * (a / (a + b));
             let front = a > 0.0;
-            let face = mirror.faces.iter().copied().find(|&f| {
+            let face = mirror.cells.near(window).iter().copied().find(|&f| {
                 let face = &scene.faces[f as usize];
                 scene.face_frame(face).contains(window)
                     && (scene.material(face).two_sided || front == (face.normal.dot(mirror.normal) > 0.0))
@@ -334,7 +406,12 @@ fn mirror_planes(scene: &Scene) -> (Vec<MirrorPlane>, Vec<u32>) {
             c.abs() > 1.0 - 1e-12 && (p.offset - offset * c.signum()).abs() < 1e-9 * scene.radius
         });
         let at = same.unwrap_or_else(|| {
-            planes.push(MirrorPlane { normal: face.normal, offset, faces: Vec::new() });
+            planes.push(MirrorPlane {
+                normal: face.normal,
+                offset,
+                faces: Vec::new(),
+                cells: Cells::default(),
+            });
             planes.len() - 1
         });
         planes[at].faces.push(k as u32);
@@ -343,5 +420,6 @@ fn mirror_planes(scene: &Scene) -> (Vec<MirrorPlane>, Vec<u32>) {
             return (Vec::new(), vec![NONE; scene.faces.len()]);
         }
     }
+    planes.iter_mut().for_each(|p| p.cells = Cells::new(scene, p.normal, &p.faces));
     (planes, of)
 }

@@ -18,6 +18,10 @@ const LEAST: f64 = 0.5;
 const MOST: f64 = 8.0;
 /// Rays along each side of a block that find out what it shows.
 const LOOKS: u32 = 2;
+/// Blocks that tell how much there is to share out, about: those of a picture of 512 x 512.
+const TELLING: u32 = 1 << 14;
+/// 2^32 over the golden ratio: its multiples are spread evenly.
+const GOLDEN: u32 = 0x9e37_79b9;
 
 /// Hemisphere rays at a sample, by block of pixels.
 pub(super) struct Budget {
@@ -63,23 +67,40 @@ impl Context<'_, '_> {
 }
 
 impl Renderer<'_, '_> {
-    /// Rays of every block where a camera's patches are few enough to be looked at, and the rays that this took.
-    pub(super) fn budget(&self, camera: &Camera) -> (Option<Budget>, u64) {
+    /// Rays of every block, or those of some `pixels`, where a camera's patches are few enough to be looked at, and the rays that this
+    /// took.
+    pub(super) fn budget(&self, camera: &Camera, pixels: Option<&[[u32; 2]]>) -> (Option<Budget>, u64) {
         let Some(guides) = &self.guides else { return (None, 0) };
         let columns = camera.size[0].div_ceil(BLOCK);
         let blocks = columns * camera.size[1].div_ceil(BLOCK);
+        // In no step with the columns of blocks.
+        let tells = |block: u32| block.wrapping_mul(GOLDEN) <= u32::MAX / blocks.div_ceil(TELLING);
+        let mut wanted = vec![pixels.is_none(); blocks as usize];
+        pixels
+            .into_iter()
+            .flatten()
+            .for_each(|[x, y]| wanted[(y / BLOCK * columns + x / BLOCK) as usize] = true);
         let seen: Vec<_> = (0..blocks)
             .into_par_iter()
-            .map(|block| self.context(None, self.settings).seen(guides, camera, block))
+            .map(|block| {
+                let needed = tells(block) || wanted[block as usize];
+                needed.then(|| self.context(None, self.settings).seen(guides, camera, block))
+            })
             .collect();
-        let looks = u64::from(blocks) * u64::from(LOOKS * LOOKS);
-        let mut patches: Vec<u32> = seen.iter().flatten().flatten().flatten().map(|s| s.0).collect();
-        patches.par_sort_unstable();
-        patches.dedup();
-        patches.retain(|p| *p != NONE);
-        if !guides.are_worth(patches.len()) {
+        let looks = seen.iter().flatten().count() as u64 * u64::from(LOOKS * LOOKS);
+        let patches_of = |which: &dyn Fn(u32) -> bool| -> Vec<u32> {
+            let chosen = seen.iter().enumerate().filter(|(block, _)| which(*block as u32));
+            let mut patches: Vec<u32> =
+                chosen.flat_map(|(_, seen)| seen.iter().flatten().flatten().flatten().map(|s| s.0)).collect();
+            patches.par_sort_unstable();
+            patches.dedup();
+            patches.retain(|p| *p != NONE);
+            patches
+        };
+        if !guides.are_worth(patches_of(&tells).len()) {
             return (None, looks);
         }
+        let patches = patches_of(&|_| true);
         let known: Vec<(f64, u64)> = patches
             .par_iter()
             .map(|patch| {
@@ -92,6 +113,7 @@ impl Renderer<'_, '_> {
         let blocks: Vec<Option<f64>> = seen
             .iter()
             .map(|rays| {
+                let rays = rays.as_ref()?;
                 let variance = |seen: &Seen| {
                     seen.iter().map(|(p, a)| (f64::from(*a) * deviation(*p)).powi(2)).sum::<f64>()
                 };
@@ -100,14 +122,15 @@ impl Renderer<'_, '_> {
                 (count > 0.0).then(|| f64::sqrt(sum / count))
             })
             .collect();
-        (Some(Budget { columns, rays: share_out(&blocks, self.settings.gather_rays) }), looks + cast)
+        (Some(Budget { columns, rays: share_out(&blocks, tells, self.settings.gather_rays) }), looks + cast)
     }
 }
 
-/// Rays about in proportion to deviations, `asked` on average (or near it) and where nothing is known. They are `asked` times powers of two,
+/// Rays about in proportion to deviations, `asked` on average (or near it) over the blocks that tell, and where nothing is known. They are `asked` times powers of two,
 /// with which low-discrepancy points are at their best.
-fn share_out(deviations: &[Option<f64>], asked: u32) -> Vec<u32> {
-    let known: Vec<f64> = deviations.iter().flatten().copied().collect();
+fn share_out(deviations: &[Option<f64>], tells: impl Fn(u32) -> bool, asked: u32) -> Vec<u32> {
+    let telling = deviations.iter().enumerate().filter(|(block, _)| tells(*block as u32));
+    let known: Vec<f64> = telling.filter_map(|(_, d)| *d).collect();
     let mean = known.iter().sum::<f64>() / known.len().max(1) as f64;
     let rays =
         |scale: f64, deviation: f64| (scale * deviation / mean).clamp(LEAST, MOST).log2().round().exp2();
@@ -136,10 +159,10 @@ mod tests {
     fn shares_go_with_deviations() {
         let few_bright: Vec<Option<f64>> =
             (0..1000).map(|k| Some(if k < 20 { 100.0 } else { 1.0 })).collect();
-        let rays = share_out(&few_bright, 16);
+        let rays = share_out(&few_bright, |_| true, 16);
         assert_eq!((rays[0], rays[999]), (128, 16));
         let slope: Vec<Option<f64>> = (0..1000).map(|k| Some(f64::from(k))).collect();
-        let rays = share_out(&slope, 64);
+        let rays = share_out(&slope, |_| true, 64);
         assert_eq!([10, 400, 700, 999].map(|k| rays[k]), [32, 64, 64, 128]);
         let mean = f64::from(rays.iter().sum::<u32>()) / 1000.0;
         assert!((mean - 64.0).abs() < 0.2, "{mean} {rays:?}");
@@ -148,9 +171,9 @@ mod tests {
     /// What is not known gets what is asked for, and so does all where nothing deviates.
     #[test]
     fn what_is_not_known_is_not_moved() {
-        assert_eq!(share_out(&[None, Some(1.0), Some(3.0), None], 8)[0], 8);
-        assert_eq!(share_out(&[None, Some(0.0), Some(0.0)], 8), [8, 8, 8]);
-        assert_eq!(share_out(&[None; 3], 8), [8, 8, 8]);
-        assert_eq!(share_out(&[Some(2.0); 3], 1), [1, 1, 1]);
+        assert_eq!(share_out(&[None, Some(1.0), Some(3.0), None], |_| true, 8)[0], 8);
+        assert_eq!(share_out(&[None, Some(0.0), Some(0.0)], |_| true, 8), [8, 8, 8]);
+        assert_eq!(share_out(&[None; 3], |_| true, 8), [8, 8, 8]);
+        assert_eq!(share_out(&[Some(2.0); 3], |_| true, 1), [1, 1, 1]);
     }
 }

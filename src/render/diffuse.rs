@@ -42,6 +42,8 @@ struct Receiver<'g> {
     point: DVec3,
     origin: Vec3,
     normal: DVec3,
+    /// Normal of the face, where the other one is a shading normal: no light comes from below it.
+    geometric: Option<DVec3>,
     sampler: Sampler,
     /// What its irradiance is multiplied by.
     albedo: f64,
@@ -123,6 +125,7 @@ impl Context<'_, '_> {
                 point: s.at.point,
                 origin: self.visibility.leave(s.at.face, s.at.point, side * s.at.geometric),
                 normal: side * s.normal,
+                geometric: (s.normal != s.at.geometric).then(|| side * s.at.geometric),
                 sampler: if side > 0.0 { s.sampler } else { s.sampler.branch(7) },
                 albedo: color::mean(albedo(s.material)),
                 guide: if gather { self.guide(&s.at, side) } else { None },
@@ -223,7 +226,11 @@ impl Context<'_, '_> {
             let places = self.landings.places(simd, &hits);
             for lane in numbers.lanes(count - base) {
                 let r = numbers.receiver(lane);
-                let &Receiver { face, origin, normal, sampler, albedo, .. } = &receivers[r];
+                let &Receiver { face, origin, normal, geometric, sampler, albedo, .. } = &receivers[r];
+                // Such a ray starts above the face and would go on through it.
+                if geometric.is_some_and(|n| rays.direction(lane).as_dvec3().dot(n) <= 0.0) {
+                    continue;
+                }
                 if hits.face[lane] != face && hits.face[lane] != none && places.kind[lane] == 0 {
                     sum[r] += f64::from(weights[lane]) * self.interpolated_at(&places, lane);
                     continue;

@@ -8,6 +8,8 @@ use rayon::prelude::*;
 
 /// Rays along one side of a pixel.
 const RAYS: u32 = 4;
+/// Distance from an emitter's bounds in the picture up to which its rays are cast \[pixels\]: rounding.
+const BESIDE: f64 = 0.01;
 /// Height of a part of an emitter in the picture \[pixels\] from which no pixel's rays miss it: a triangle of that height holds a circle of
 /// two thirds of it, and the rays of a pixel leave none of more than 0.36.
 const FOUND: f64 = 1.0;
@@ -32,8 +34,12 @@ pub fn sees_no_emitter(visibility: &Visibility, emitters: &Emitters, camera: &Ca
             meets_emitter(visibility, emitters, &frame, direction)
         })
     };
-    let mut seen: Vec<bool> =
-        (0..width * height).into_par_iter().map(|k| sees(k % width, k / width)).collect();
+    let may = within_bounds(visibility, emitters, &frame, camera.size);
+    let mut seen: Vec<bool> = may
+        .into_par_iter()
+        .enumerate()
+        .map(|(k, may)| may && sees(k as u32 % width, k as u32 / width))
+        .collect();
     let slips = |(face, front, _)| {
         let look = Look { visibility, emitters, frame: &frame, size: camera.size, seen: &seen };
         look.emitter(face, front)
@@ -48,6 +54,44 @@ pub fn sees_no_emitter(visibility: &Visibility, emitters: &Emitters, camera: &Ca
             !near(y, height).any(|j| near(x, width).any(|i| seen[(j * width + i) as usize]))
         })
         .collect()
+}
+
+/// The pixels within the bounds of some emitter in the picture, row by row: no other shows one.
+fn within_bounds(
+    visibility: &Visibility,
+    emitters: &Emitters,
+    frame: &CameraFrame,
+    [width, height]: [u32; 2],
+) -> Vec<bool> {
+    let scene = visibility.scene();
+    let (columns, rows) = (width as usize + 1, height as usize + 1);
+    // How many bounds begin at a pixel less those that end before it, along both axes.
+    let mut steps = vec![0i32; columns * rows];
+    for (face, ..) in emitters.sides() {
+        let face = &scene.faces[face as usize];
+        let count = if face.is_triangle() { 3 } else { 4 };
+        let corners: Option<Vec<DVec2>> = (0..count).map(|k| frame.pixel(scene.corner(face, k))).collect();
+        // Of what lies partly behind the eye nothing is known.
+        let corners = corners.unwrap_or_else(|| vec![DVec2::NEG_INFINITY, DVec2::INFINITY]);
+        let low = corners.iter().fold(DVec2::INFINITY, |m, c| m.min(*c)) - BESIDE;
+        let high = corners.iter().fold(DVec2::NEG_INFINITY, |m, c| m.max(*c)) + BESIDE;
+        let within = |x: f64, n: u32| x.clamp(0.0, n.into()) as usize;
+        let [from, to] = [low, high.ceil()].map(|p| [within(p.x, width), within(p.y, height)]);
+        for (x, y, step) in
+            [(from[0], from[1], 1), (to[0], from[1], -1), (from[0], to[1], -1), (to[0], to[1], 1)]
+        {
+            steps[y * columns + x] += step;
+        }
+    }
+    for y in 0..rows {
+        for x in 1..columns {
+            steps[y * columns + x] += steps[y * columns + x - 1];
+        }
+    }
+    for k in columns..columns * rows {
+        steps[k] += steps[k - columns];
+    }
+    (0..height as usize).flat_map(|y| steps[y * columns..][..width as usize].iter().map(|n| *n > 0)).collect()
 }
 
 /// Whether a view ray meets an emitting side.

@@ -296,7 +296,7 @@ pub fn render_pixels(
     settings: &Settings,
 ) -> (Vec<Rgb>, Traced) {
     let renderer = Renderer::new(visibility, emitters, solution, camera.size, settings);
-    let (budget, looks) = renderer.budget(camera);
+    let (budget, looks) = renderer.budget(camera, Some(pixels));
     let frame = camera.frame(visibility.scene());
     let index2 = index2_at(visibility, &frame);
     let shaded: Vec<(Vec<Rgb>, Traced)> = pixels
@@ -351,7 +351,7 @@ impl<'a, 's> Renderer<'a, 's> {
 
     /// [`render`], from one camera: what it gives does not depend on what was rendered before.
     pub fn render(&self, camera: &Camera, progress: &(dyn Fn(u64) + Sync)) -> (Image, Traced) {
-        let (budget, looks) = self.budget(camera);
+        let (budget, looks) = self.budget(camera, None);
         let shade = |frame: &CameraFrame, pixels: &[(u32, u32)]| self.block(frame, budget.as_ref(), pixels);
         let (image, traced) = film(self.visibility, camera, progress, shade);
         (image, Traced { rays: traced.rays + looks, looks, ..traced })
