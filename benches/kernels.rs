@@ -24,7 +24,7 @@ fn kernels(c: &mut Criterion) {
     let scene = embedded("cornell").expect("a scene that the program holds");
     let device = Device::new(1).expect("Embree");
     let visibility = Visibility::new(&device, &scene).expect("a tree");
-    let size = 4.0 * default_element_size(&scene);
+    let size = 4.0 * default_element_size(&scene, true);
     let mesh = Mesh::new(&scene, &Sides::fronts(&scene), size, true).expect("a mesh");
     rays(c, &visibility, &mesh);
     rows(c, &scene, &visibility, &mesh);

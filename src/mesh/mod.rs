@@ -20,7 +20,7 @@ pub use place::Place;
 
 use crate::scene::{Face, Scene};
 use crate::{Error, Result};
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 
 /// No element.
 pub const NONE: u32 = u32::MAX;
@@ -92,28 +92,31 @@ pub struct Mesh {
 ///
 /// The share makes about 5,000 elements of a simple room.
 pub fn default_element_size(scene: &Scene, with_black: bool) -> f64 {
-    let area = |f: &Face| if is_divided(scene, f, with_black) { f.area } else { 0.0 };
-    let exchanging: f64 = scene.faces.iter().map(area).sum();
-    let whole = || scene.faces.iter().map(|f| f.area).sum();
-    let area: f64 = if exchanging > 0.0 { exchanging } else { whole() };
+    let [exchanging, whole] = areas(scene, |f| with_black || scene.material(f).is_diffuse());
+    let area = if exchanging > 0.0 { exchanging } else { whole };
     (area / 3000.0).sqrt()
 }
 
-/// Whether a face has more than one element on a side: light is uniform on one that only emits it.
-fn is_divided(scene: &Scene, face: &Face, with_black: bool) -> bool {
-    with_black || scene.material(face).is_diffuse()
+/// The area of some faces, and that of all \[m^2\].
+fn areas(scene: &Scene, some: impl Fn(&Face) -> bool) -> [f64; 2] {
+    let area = |f: &Face| DVec2::new(if some(f) { f.area } else { 0.0 }, f.area);
+    scene.faces.iter().map(area).sum::<DVec2>().to_array()
 }
 
-/// The lattice of a face whose cell edges are at most `size` \[m\] long.
-fn lattice(scene: &Scene, face: &Face, size: f64, with_black: bool) -> Lattice {
-    let size = if is_divided(scene, face, with_black) { size } else { f64::MAX };
-    Lattice::of(scene, face, size)
+/// The lattice of each face whose cell edges are at most `size` \[m\] long. Cells are larger on faces that do not exchange light
+/// diffusely where these have more of the area: emission has no detail, and what gathers on them is but absorbed.
+fn separate(scene: &Scene, size: f64, with_black: bool) -> impl Iterator<Item = Lattice> {
+    let exchanges = move |f: &Face| with_black || scene.material(f).is_diffuse();
+    let [exchanging, _] = areas(scene, exchanges);
+    let [others, _] = areas(scene, |f| !exchanges(f) && scene.material(f).is_emitter());
+    let larger = if exchanging > 0.0 { (others / exchanging).sqrt().max(1.0) } else { 1.0 };
+    let lattice = move |f: &Face| Lattice::of(scene, f, if exchanges(f) { size } else { larger * size });
+    scene.faces.iter().map(lattice)
 }
 
 /// The lattices of all faces, made to agree where faces meet.
 fn lattices(scene: &Scene, size: f64, with_black: bool) -> Vec<Lattice> {
-    let mut lattices: Vec<Lattice> =
-        scene.faces.iter().map(|f| lattice(scene, f, size, with_black)).collect();
+    let mut lattices: Vec<Lattice> = separate(scene, size, with_black).collect();
     agree(scene, &mut lattices);
     lattices
 }
@@ -144,7 +147,8 @@ impl Mesh {
     /// Divides the given sides of a scene's faces into cells with edges of at most `element_size` \[m\].
     ///
     /// Sides whose material neither reflects nor transmits diffusely get no elements unless
-    /// `with_black` asks for them (form factors do not care for materials), and those that only emit have one a face.
+    /// `with_black` asks for them (form factors do not care for materials), and those that only emit have no more elements in all
+    /// than the others, but one a face.
     pub fn new(scene: &Scene, sides: &Sides, element_size: f64, with_black: bool) -> Result<Mesh> {
         if element_size.is_nan() || element_size <= 0.0 {
             return Err(Error::Usage(format!("element size {element_size} m: must be above zero")));
@@ -156,7 +160,7 @@ impl Mesh {
     /// Fewer and more even cells than those of [`Mesh::new`] on the sides of another mesh; their nodes need not coincide where
     /// faces meet: no field is interpolated between them.
     pub(crate) fn patches(scene: &Scene, sides: &Sides, size: f64) -> Result<Mesh> {
-        let grids = scene.faces.iter().map(|f| lattice(scene, f, size, false).into()).collect();
+        let grids = separate(scene, size, false).map(Grid::from).collect();
         Mesh::of_grids(scene, sides, (size, false), grids, true)
     }
 

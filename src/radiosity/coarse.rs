@@ -147,11 +147,7 @@ pub(super) fn patches(scene: &Scene, mesh: &Mesh, regions: impl FnOnce() -> Vec<
         return runs(&regions(), most);
     }
     let most = enough.max(2 * sides).min(most);
-    // What only emits has one patch a face, however large.
-    let area = |e: u32| {
-        if scene.material(&scene.faces[mesh.place(e).0 as usize]).is_diffuse() { mesh.area(e) } else { 0.0 }
-    };
-    let area: f64 = (0..n as u32).map(area).sum();
+    let area: f64 = (0..n as u32).map(|e| mesh.area(e)).sum();
     let mut size = (area / most as f64).sqrt();
     loop {
         // At the latest when each side is a patch of its own, these are few enough.

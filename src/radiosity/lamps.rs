@@ -183,7 +183,8 @@ impl<'a, 's> Lamps<'a, 's> {
                     || sums.iter().enumerate().filter(|(o, _)| *o != b || sums.len() == 1).map(|(_, s)| s[k]);
                 let (all, seen): (Rgb, Rgb) = (others().map(|s| s.all).sum(), others().map(|s| s.seen).sum());
                 let beta = color::mean(seen) / color::mean(all);
-                let beta = if beta.is_finite() { beta } else { 0.0 };
+                // Where the others took no sample of the emitter: nothing is known to hide it.
+                let beta = if beta.is_finite() { beta } else { 1.0 };
                 sums[b][k].seen / n + beta * (whole - sums[b][k].all / n)
             };
             let of_lamp: Vec<Rgb> = (0..sums.len()).map(estimate).collect();

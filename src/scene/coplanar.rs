@@ -13,7 +13,7 @@
 
 use super::faces::Made;
 use super::{Face, Material, polygon};
-use glam::{DVec2, DVec3};
+use glam::{DVec2, DVec3, Vec2Swizzles};
 use rustc_hash::FxHashMap;
 
 /// An overlap of less than this share of the smaller face is rounding of a common edge.
@@ -22,6 +22,10 @@ const LEAST_OVERLAP: f64 = 1e-7;
 const NORMAL_CELL: f64 = 1e-3;
 /// And their distances from the centre in one of this share of the scene's radius.
 const DISTANCE_CELL: f64 = 1e-4;
+/// Faces of one plane that are many.
+const MANY: usize = 1 << 10;
+/// Faces that cut one without its being halved first.
+const CUTTERS: usize = 64;
 /// Distance of planes that rays cannot tell apart, as a share of coordinates: see `visibility`'s offsets.
 const APART: f64 = 8.0 / 16_777_216.0;
 
@@ -121,7 +125,7 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
     let mut coated = Coated { known: materials, made: Vec::new(), numbers: FxHashMap::default() };
     for group in groups {
         let mut flats: Vec<Flat> = group.iter().map(|&k| Flat::new(k, faces, points, center)).collect();
-        flats.sort_by(|a, b| a.low.x.total_cmp(&b.low.x));
+        sweep(&mut flats);
         let rank = |k: u32| {
             let f = &faces[k as usize];
             (precedence(&materials[f.material as usize]), polygon_area[&f.polygon], k)
@@ -245,14 +249,55 @@ pub(super) fn cut(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: &mu
 }
 
 /// What is left of pieces of a face without what it has in common with others.
-fn left_of(mut pieces: Pieces, (face, faces, points): (&Face, &[Face], &[DVec3]), others: &[u32]) -> Pieces {
-    for &other in others {
-        let cutter = flatten(face, &corners(&faces[other as usize], points));
-        let outside =
-            |(p, made): (Vec<DVec3>, Made)| subtract(face, &p, &cutter).0.into_iter().map(move |p| (p, made));
-        pieces = pieces.into_iter().flat_map(outside).collect();
-    }
+fn left_of(pieces: Pieces, (face, faces, points): (&Face, &[Face], &[DVec3]), others: &[u32]) -> Pieces {
+    let cutters: Vec<Vec<DVec2>> =
+        others.iter().map(|k| flatten(face, &corners(&faces[*k as usize], points))).collect();
+    let cutters: Vec<&[DVec2]> = cutters.iter().map(Vec::as_slice).collect();
     pieces
+        .into_iter()
+        .flat_map(|(p, made)| without(face, p, &cutters).into_iter().map(move |p| (p, made)))
+        .collect()
+}
+
+/// The bounds of points in a plane.
+fn bounds(p: &[DVec2]) -> [DVec2; 2] {
+    let low = p.iter().copied().fold(DVec2::INFINITY, DVec2::min);
+    [low, p.iter().copied().fold(DVec2::NEG_INFINITY, DVec2::max)]
+}
+
+/// What is left of a convex part of a face without those that cut it.
+///
+/// Each one cuts all pieces that those before it left. Where they are very many, as the houses of a town on their ground, the part is
+/// halved first, so that few cut each part of it.
+fn without(face: &Face, part: Vec<DVec3>, cutters: &[&[DVec2]]) -> Vec<Vec<DVec3>> {
+    if cutters.len() > CUTTERS {
+        let within = bounds(&flatten(face, &part));
+        let axis = usize::from(within[1].y - within[0].y > within[1].x - within[0].x);
+        let mut middles: Vec<f64> =
+            cutters.iter().map(|c| bounds(c).map(|b| b[axis]).iter().sum::<f64>() / 2.0).collect();
+        middles.sort_unstable_by(f64::total_cmp);
+        let middle = middles[middles.len() / 2];
+        let [low, high]: [Vec<&[DVec2]>; 2] = [
+            cutters.iter().copied().filter(|c| bounds(c)[0][axis] < middle).collect(),
+            cutters.iter().copied().filter(|c| bounds(c)[1][axis] > middle).collect(),
+        ];
+        // The half of the plane below the middle, wide enough for all of the part.
+        let [from, to] =
+            [within[0] - DVec2::ONE * face.area.sqrt(), within[1] + DVec2::ONE * face.area.sqrt()];
+        let mut edge = to;
+        edge[axis] = middle;
+        let half_plane = [from, DVec2::new(edge.x, from.y), edge, DVec2::new(from.x, edge.y)];
+        let (above, below) = subtract(face, &part, &half_plane);
+        let enough = 3 * low.len().max(high.len()) <= 2 * cutters.len();
+        if let (true, Some(below), [above]) = (enough, below, &above[..]) {
+            let mut pieces = without(face, below, &low);
+            pieces.extend(without(face, above.clone(), &high));
+            return pieces;
+        }
+    }
+    cutters.iter().fold(vec![part], |pieces, cutter| {
+        pieces.into_iter().flat_map(|p| subtract(face, &p, cutter).0).collect()
+    })
 }
 
 /// Area \[m^2\] and centroid \[m\] of each object.
@@ -344,6 +389,16 @@ impl Flat {
             high: p.iter().map(|p| flat(*p)).fold(DVec2::NEG_INFINITY, DVec2::max),
         }
     }
+}
+
+/// Puts faces in the order in which a line that sweeps along the first axis meets them. Of very many that is the axis along which they are
+/// shorter: boards have all in common along the other one.
+fn sweep(flats: &mut [Flat]) {
+    let extent = |axis: usize| flats.iter().map(|f| f.high[axis] - f.low[axis]).sum::<f64>();
+    if flats.len() > MANY && extent(1) < extent(0) {
+        flats.iter_mut().for_each(|f| (f.low, f.high) = (f.low.yx(), f.high.yx()));
+    }
+    flats.sort_by(|a, b| a.low.x.total_cmp(&b.low.x));
 }
 
 pub(super) fn corners(face: &Face, points: &[DVec3]) -> Vec<DVec3> {

@@ -110,6 +110,8 @@ impl Seen {
 #[derive(Debug, Default)]
 struct Tally {
     objects: Vec<(String, usize)>,
+    /// Where each is.
+    place: FxHashMap<String, usize>,
     first: String,
 }
 
@@ -119,9 +121,12 @@ impl Tally {
         if self.objects.is_empty() {
             self.first = format!("{}:{}", file.path.display(), polygon.line);
         }
-        match self.objects.iter_mut().find(|(n, _)| n == name) {
-            Some((_, count)) => *count += 1,
-            None => self.objects.push((name.clone(), 1)),
+        match self.place.get(name) {
+            Some(k) => self.objects[*k].1 += 1,
+            None => {
+                self.place.insert(name.clone(), self.objects.len());
+                self.objects.push((name.clone(), 1));
+            }
         }
     }
 
@@ -289,11 +294,13 @@ impl Builder {
     /// `{n} faces are {what} (object "a": 2, object "b": 1)` of one object number a face.
     fn named(&self, objects: &[u32], what: &str) -> Option<String> {
         let mut counts: Vec<(u32, usize)> = Vec::new();
+        let mut place: FxHashMap<u32, usize> = FxHashMap::default();
         for &object in objects {
-            match counts.iter_mut().find(|(o, _)| *o == object) {
-                Some((_, n)) => *n += 1,
-                None => counts.push((object, 1)),
+            let k = *place.entry(object).or_insert(counts.len());
+            if k == counts.len() {
+                counts.push((object, 0));
             }
+            counts[k].1 += 1;
         }
         let mut parts: Vec<String> = counts
             .iter()

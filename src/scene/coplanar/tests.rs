@@ -130,3 +130,23 @@ fn partial_overlaps_are_cut_and_neighbours_are_not() {
         assert!((total(&faces, &points, k as u32) - a).abs() < 1e-12, "{k}");
     }
 }
+
+/// A town on its ground: so many cut it that it is halved first.
+#[test]
+fn what_very_many_cover_is_what_they_leave() {
+    let mut points = Vec::new();
+    let mut faces = vec![square(&mut points, [0.0, 30.0], [0.0, 20.0], 0.0, 0)];
+    for k in 0..600u32 {
+        let (x, y) = (f64::from(k % 30), f64::from(k / 30));
+        let w = 0.2 + 0.7 * f64::from(k * 37 % 101) / 101.0;
+        faces.push(square(&mut points, [x, x + w], [y + 0.05, y + 0.95 * w + 0.05], 0.0, k + 1));
+    }
+    let covered: f64 = faces[1..].iter().map(|f| f.area).sum();
+    let mut materials = materials(&"d".repeat(601));
+    let cut = cut(&mut faces, &mut points, &mut materials);
+    assert_eq!(cut.objects, [0]);
+    assert!((total(&faces, &points, 0) - (600.0 - covered)).abs() < 1e-9, "{}", total(&faces, &points, 0));
+    assert!((1..=600).all(|k| faces.iter().filter(|f| f.object == k).count() == 1));
+    let parts = faces.len() - 600;
+    assert!(parts < 2400, "{parts} parts");
+}
