@@ -44,6 +44,8 @@ struct Way {
     entered: Vec<f64>,
     /// Something opaque lay in between.
     opaque: bool,
+    /// It left the first of them before anything opaque.
+    straight: bool,
 }
 
 impl Way {
@@ -59,14 +61,16 @@ impl Way {
         } else {
             // Where two kinds of glass touch and have one surface there, what is left is not what was entered.
             let entered: f64 = self.entered.drain(..).product();
+            self.straight |= !self.opaque;
             self.left.push(material.ior / entered);
         }
     }
 
     /// Not sure that it began outside, where it found no glass to leave but something opaque: glass that stands on what is opaque has no
-    /// face there. Nor that it began inside, where it entered glass for good: this may be the far side of glass that is turned outside in.
+    /// face there. Nor that it began inside, where it came to the glass that it left through something opaque, as from beside a basin,
+    /// or entered glass for good: this may be the far side of glass that is turned outside in.
     fn is_unsure(&self) -> bool {
-        if self.left.is_empty() { self.opaque } else { !self.entered.is_empty() }
+        if self.left.is_empty() { self.opaque } else { !self.straight || !self.entered.is_empty() }
     }
 
     /// Index of the medium that it began in.

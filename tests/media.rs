@@ -186,3 +186,26 @@ fn cameras_in_glass_see_radiance() {
         }
     }
 }
+
+/// A basin with opaque walls, filled with water that has a surface alone, in a room that shines: a camera beside it is in air and
+/// sees the walls' radiance of 1, though rays that go through the basin's sides leave water above.
+#[test]
+fn cameras_beside_a_basin_are_in_air() {
+    for (origin, target) in [([1.6, 0.2, 0.5], [2.0, 2.0, 0.4]), ([1.6, 0.2, 0.8], [2.0, 2.0, 2.0])] {
+        let mut files = Files::default();
+        files.diffuse("wall", &[0.0], &[PI]).diffuse("side", &[0.5], &[0.0]);
+        files.material("water", &format!("{GLASS} = 1.33"));
+        for (name, points) in box_faces([-2.0, -2.0, 0.0], [4.0, 4.0, 3.0], true) {
+            files.polygon(name, "wall", &points);
+        }
+        for (name, points) in box_faces([-0.8, -0.8, 0.0], [1.6, 1.6, 1.0], false).into_iter().take(4) {
+            files.polygon(&format!("side-{name}"), "side", &points);
+        }
+        let surface = [[-0.8, -0.8, 0.9], [0.8, -0.8, 0.9], [0.8, 0.8, 0.9], [-0.8, 0.8, 0.9]];
+        files.polygon("water", "water", &surface);
+        let view = "up = [0, 0, 1]\nfov = 20\nsize = [4, 4]";
+        files.toml(&format!("[camera]\norigin = {origin:?}\ntarget = {target:?}\n{view}"));
+        let seen = means(&files.load(), Method::Whitted, 4);
+        assert!(seen.iter().all(|mean| (mean - 1.0).abs() < 1e-5), "{origin:?}: {seen:?}");
+    }
+}

@@ -14,6 +14,8 @@ fn scene(obj: &str) -> Scene {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("s.obj");
     std::fs::write(&path, obj).unwrap();
+    let pane = "newmtl pane\nKd 0 0 0\nKs 0 0 0\nNi 1\nTf 1 1 1\nd 0.1\nillum 9\n";
+    std::fs::write(folder.path().join("s.mtl"), pane).unwrap();
     load(&path).unwrap()
 }
 
@@ -460,6 +462,7 @@ fn faces_are_divided_where_walls_stand() {
     // Half of it below the slab.
     let sunk = wall.replace(" 0\n", " -1\n");
     let lidless = closed.replace("f -4 -3 -2 -1\n", "");
+    let glazed = closed.replace("f -4 -3 -2 -1\n", "mtllib s.mtl\nusemtl pane\nf -4 -3 -2 -1\n");
     for (what, things, parts) in [
         ("nothing", String::new(), 1),
         ("a wall", wall.into(), 2),
@@ -467,6 +470,7 @@ fn faces_are_divided_where_walls_stand() {
         ("a low sheet", low, 1),
         ("a closed box", closed.into(), 1),
         ("a box without a lid", lidless, 9),
+        ("a box with a window for a lid", glazed, 9),
     ] {
         let scene = scene(&format!("{slab}{things}"));
         let of_slab: Vec<_> =

@@ -9,7 +9,7 @@
 
 use super::coplanar::{Pieces, corners, replace};
 use super::faces::Made;
-use super::{Face, Material};
+use super::{Face, Material, polygon};
 use crate::sets::Sets;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -28,6 +28,8 @@ const LEAST_HEIGHT: f64 = 0.1;
 const MOST_LINES: usize = 16;
 /// A face is not divided where a part would have less than this share of it.
 const LEAST_PART: f64 = 1e-5;
+/// Nor where its parts would have so many times its elements, and so many more: a slender triangle is divided as finely across as along.
+const MOST_ELEMENTS: (f64, f64) = (2.0, 64.0);
 /// Scenes of more faces are left as they are: every face is looked at from every other.
 const MOST_FACES: usize = 4096;
 
@@ -54,6 +56,8 @@ pub(super) fn divide(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: 
     let (near, least) = (TOUCHING * radius, LEAST_HEIGHT * radius);
     let outlines: Vec<Vec<DVec3>> = faces.iter().map(|f| corners(f, points)).collect();
     let bodies = Bodies::new(faces, &outlines, materials, near);
+    // That of elements where none is asked for.
+    let size = (faces.iter().map(|f| f.area).sum::<f64>() / 3000.0).sqrt();
     let pieces = |(k, face): (usize, &Face)| {
         let material = &materials[face.material as usize];
         if !material.is_diffuse() || material.is_emitter() || face.normals.is_some() {
@@ -69,7 +73,7 @@ pub(super) fn divide(faces: &mut Vec<Face>, points: &mut Vec<DVec3>, materials: 
         let chord = |(other, _): (usize, &Face)| chord(face, &outlines[k], &outlines[other], near);
         let meets = |(other, _): &(usize, &Face)| meets(&outlines[*other], outlines[k][0], face.normal, near);
         let stand = faces.iter().enumerate().filter(meets).filter(stands).filter_map(chord);
-        let pieces = cut(face, &outlines[k], lines(face, &outlines[k], stand, near), near);
+        let pieces = cut(face, &outlines[k], lines(face, &outlines[k], stand, near), (near, size));
         let made = Made { object: face.object, material: face.material };
         (pieces.len() > 1).then(|| (k as u32, pieces.into_iter().map(|p| (p, made)).collect()))
     };
@@ -86,7 +90,7 @@ type Corner = [i64; 3];
 struct Bodies {
     /// The body of each face.
     of: Vec<u32>,
-    /// Ends of the edges that but one face of a body has.
+    /// Ends of the edges that but one face of a body has, or where what lets light through meets what does not.
     open: FxHashMap<u32, Vec<DVec3>>,
     /// Bodies that may have a lamp inside.
     lit: FxHashSet<u32>,
@@ -110,7 +114,13 @@ impl Bodies {
         edges.values().for_each(|on_it| on_it.windows(2).for_each(|w| sets.join(w[0].0, w[1].0)));
         let of = sets.names();
         let mut open: FxHashMap<u32, Vec<DVec3>> = FxHashMap::default();
-        for on_it in edges.values().filter(|on_it| on_it.len() == 1) {
+        // A window in a wall is an opening too.
+        let lets_through = |k: u32| materials[faces[k as usize].material as usize].lets_through();
+        let is_open = |on_it: &&Vec<(u32, [DVec3; 2])>| {
+            let windows = on_it.iter().filter(|(k, _)| lets_through(*k)).count();
+            on_it.len() == 1 || (windows > 0 && windows < on_it.len())
+        };
+        for on_it in edges.values().filter(is_open) {
             on_it.iter().for_each(|(k, ends)| open.entry(of[*k as usize]).or_default().extend(ends));
         }
         let mut extent: FxHashMap<u32, [DVec3; 2]> = FxHashMap::default();
@@ -229,13 +239,15 @@ fn lines(face: &Face, outline: &[DVec3], chords: impl Iterator<Item = [DVec3; 2]
     found.into_iter().map(|(_, line)| line).collect()
 }
 
-/// The parts of a face that lines leave, convex.
-fn cut(face: &Face, outline: &[DVec3], lines: Vec<Line>, near: f64) -> Vec<Vec<DVec3>> {
+/// The parts of a face that lines leave, convex; elements have about that `size`.
+fn cut(face: &Face, outline: &[DVec3], lines: Vec<Line>, (near, size): (f64, f64)) -> Vec<Vec<DVec3>> {
     let area = |p: &[DVec3]| {
         let crosses = (1..p.len().max(2) - 1).map(|k| (p[k] - p[0]).cross(p[k + 1] - p[0]));
         0.5 * crosses.sum::<DVec3>().dot(face.normal)
     };
+    let elements = |pieces: &[Vec<DVec3>]| pieces.iter().map(|p| elements(p, size)).sum::<f64>();
     let mut pieces = vec![outline.to_vec()];
+    let most = MOST_ELEMENTS.0 * elements(&pieces) + MOST_ELEMENTS.1;
     for line in lines {
         let across = face.normal.cross(line.along);
         let halves = |piece: &Vec<DVec3>| -> Vec<Vec<DVec3>> {
@@ -244,11 +256,21 @@ fn cut(face: &Face, outline: &[DVec3], lines: Vec<Line>, near: f64) -> Vec<Vec<D
             if parts.len() < 2 { vec![piece.clone()] } else { parts }
         };
         let divided: Vec<Vec<DVec3>> = pieces.iter().flat_map(halves).collect();
-        if divided.iter().all(|p| area(p) > LEAST_PART * face.area) {
+        if divided.iter().all(|p| area(p) > LEAST_PART * face.area) && elements(&divided) <= most {
             pieces = divided;
         }
     }
     pieces
+}
+
+/// About how many elements of a size a convex polygon has.
+fn elements(piece: &[DVec3], size: f64) -> f64 {
+    let along = |a: usize, b: usize| (piece[a].distance(piece[b]) / size).ceil().max(1.0);
+    let of_face = |&[a, b, c, d]: &[usize; 4]| match c == d {
+        true => along(a, b).max(along(b, c)).max(along(c, a)).powi(2),
+        false => along(a, b).max(along(c, d)) * along(b, c).max(along(d, a)),
+    };
+    polygon::split(piece).faces.iter().map(of_face).sum()
 }
 
 /// The part of a convex polygon to that side of a line to which `n` points; nothing where it is on the other side or on the line.
