@@ -103,14 +103,17 @@ fn areas(scene: &Scene, some: impl Fn(&Face) -> bool) -> [f64; 2] {
     scene.faces.iter().map(area).sum::<DVec2>().to_array()
 }
 
-/// The lattice of each face whose cell edges are at most `size` \[m\] long. Cells are larger on faces that do not exchange light
-/// diffusely where these have more of the area: emission has no detail, and what gathers on them is but absorbed.
+/// The lattice of each face whose cell edges are at most `size` \[m\] long. Cells are larger on faces that only emit where these have
+/// more of the area than the diffuse ones: emission has no detail, and what gathers on them is but absorbed.
 fn separate(scene: &Scene, size: f64, with_black: bool) -> impl Iterator<Item = Lattice> {
-    let exchanges = move |f: &Face| with_black || scene.material(f).is_diffuse();
-    let [exchanging, _] = areas(scene, exchanges);
-    let [others, _] = areas(scene, |f| !exchanges(f) && scene.material(f).is_emitter());
-    let larger = if exchanging > 0.0 { (others / exchanging).sqrt().max(1.0) } else { 1.0 };
-    let lattice = move |f: &Face| Lattice::of(scene, f, if exchanges(f) { size } else { larger * size });
+    let only_emits = move |f: &Face| {
+        let m = scene.material(f);
+        !with_black && m.is_emitter() && !m.is_diffuse() && !m.is_specular()
+    };
+    let [emitting, _] = areas(scene, only_emits);
+    let [diffuse, _] = areas(scene, |f| scene.material(f).is_diffuse());
+    let larger = if diffuse > 0.0 { (emitting / diffuse).sqrt().max(1.0) } else { 1.0 };
+    let lattice = move |f: &Face| Lattice::of(scene, f, if only_emits(f) { larger * size } else { size });
     scene.faces.iter().map(lattice)
 }
 
